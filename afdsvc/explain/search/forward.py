@@ -44,6 +44,7 @@ from afdsvc.explain.search.path import (
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import (
     Candidate,
+    in_no_doubt,
     is_constant,
     is_offset,
     is_reason,
@@ -68,16 +69,14 @@ STARTS = 2  # of every hypothesis that are tried, by what they promise
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Round:
-    """One round: the candidates, best first; whether the first was accepted, and why not; of an accepted one, why only the recordings
-    held out could confirm it.
-
-    ``limited`` says what limits the best fit: "noise" or "model".
-    """
+    """One round: the candidates, best first; whether the first was accepted, and why not; of an accepted one, why only the recordings held out could
+    confirm it, and, of a further effect, what is decided ``instead`` where they do not. ``limited`` says what limits the best fit: "noise" or "model"."""
 
     candidates: tuple[Candidate, ...]
     accepted: bool
     limited: str
     reason: str = ""
+    instead: Round | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,10 +109,9 @@ def search(
 ) -> Found:
     """Return what the search finds; every effect accepted is refitted with all numbers of the model. Mechanisms ``excluded`` are not tried.
 
-    ``remainder`` tests whether the residual of a path is predictable. ``better``
-    says how sure it is that the recordings held out are followed better with an effect: it has to be where the effect gains, but in too few resampled
-    blocks or closing too little of the gap, and a further effect must not do worse there. In the end an effect without which they are likely followed
-    better is dropped.
+    ``remainder`` tests whether the residual of a path is predictable. ``better`` says how sure it is that the recordings held out are followed better with an
+    effect: it has to be where the effect gains, but in too few resampled blocks or closing too little of the gap, and a further effect must not do worse
+    there. In the end an effect without which they are likely followed better is dropped.
     Offsets belong to the recordings, not to the machine: they count as no effect, and what comes after them is compared with the model that has them.
     Half a sample between held and smooth inputs would stand for a further effect, so with ``choose`` that is decided anew beside each; so would
     the error of coarse steps, which laws that are simulated in finer ones do not have.
@@ -133,9 +131,10 @@ def search(
         rounds = replace(rounds, progress=partial(_within, progress, f"round {len(steps) + 1}", number / problem.settings.effects, 1 / problem.settings.effects))
         step = rounds.next(path, rough, offered, number > 0)
         more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
-        if step.accepted and (step.reason or number) and not better(problem, path, more[0]) > (problem.settings.sure if step.reason else 0.0):
-            why = f"{step.candidates[0].hypothesis.title}: the recordings held out are followed worse with it"
-            step = replace(step, accepted=False, reason=step.reason or why)
+        while step.accepted and (step.reason or number) and not better(problem, path, more[0]) > (problem.settings.sure if step.reason else 0.0):
+            refuted = replace(step, accepted=False, reason=step.reason or f"{step.candidates[0].hypothesis.title}: the recordings held out are followed worse with it")
+            steps, step = (steps, refuted) if step.instead is None else ([*steps, refuted], step.instead)
+            more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
         steps.append(step)
         if not step.accepted:
             break
@@ -188,9 +187,8 @@ def _seen(problem: Problem, path: dict[float, Fit], limited: str) -> Machine:
     """Return the machine along the final fit of a path, with the lines and peaks of its residual."""
     last = list(path)[-1]
     residuals = problem.residuals(path[last].point, last)
-    found = peaks(problem.runs, residuals, 2 * bandwidth(problem.runs))
     lines = [t.omega for t in tones(problem.runs, residuals)]
-    return machine(problem, path[last], last, lines, found, limited)
+    return machine(problem, path[last], last, lines, peaks(problem.runs, residuals, 2 * bandwidth(problem.runs)), limited)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,7 +261,11 @@ class Rounds(Settled):
                 continue
             found.append(Candidate(h, q, self.evidence(q, path, h, counted), {k: replace(f, J=f.J[:0]) for k, f in r.items()}))
         ranked, limited = self.ranked(found)
-        return _decided(ranked, limited, self, by_chance, further)
+        step, others = _decided(ranked, limited, self, by_chance, further), [c for c in ranked if mechanism(c.hypothesis) != mechanism(ranked[0].hypothesis)]
+        sure = next((c for c in others if is_reason(c, limited) and in_no_doubt(c, s)), None)
+        if sure is None or not (further and step.reason):
+            return step
+        return replace(step, instead=_decided([sure, *(c for c in others if c is not sure)], limited, self, by_chance, further))
 
     def accepted(self, first: Candidate) -> tuple[dict[float, Fit], dict[float, Fit]]:
         """Return the path with a candidate and without effects that do not pay beside it, fitted to convergence, and its rough one.
@@ -379,8 +381,7 @@ def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: d
     A plant that integrates is judged at the horizon where its evidence is clearest: its simulation sums up every disturbance. At the
     decision horizon every hypothesis has to gain, too.
     """
-    s = rounds.problem.settings
-    nothing = Round(tuple(ranked), False, limited, "no hypothesis of the library gains anything")
+    s, nothing = rounds.problem.settings, Round(tuple(ranked), False, limited, "no hypothesis of the library gains anything")
     if not ranked:
         return nothing
     e, sure = ranked[0].evidence, ranked[0].evidence.improves(s.resamples)

@@ -133,8 +133,7 @@ class Problem:
     def beginning(self) -> Problem:
         """Return the problem on `Settings.screened` samples, itself where it has no more: the beginnings of `FEW` recordings, evenly spread, the first sample of the others."""
         lengths = np.array([len(r) for r in self.runs])
-        few = np.unique(np.linspace(0, len(lengths) - 1, FEW).astype(int))
-        parts = np.ones_like(lengths)
+        few, parts = np.unique(np.linspace(0, len(lengths) - 1, FEW).astype(int)), np.ones_like(lengths)
         parts[few] = np.maximum(1, lengths[few] * min(1.0, self.settings.screened / max(1, lengths[few].sum())))
         return self if lengths.sum() <= self.settings.screened else self.of([r.span(0, int(n)) for r, n in zip(self.runs, parts, strict=True)], self.x0)
 

@@ -55,12 +55,12 @@ def winner(reasons: Sequence[Candidate], settings: Settings, limited: str) -> Ca
     near = [k for k, v in votes.items() if v >= max(votes.values()) - settings.tie]
     firsts = [_simplest(shapes[k], settings, limited) for k in near]
     first = min(firsts, key=lambda c: (complexity(c.hypothesis), -c.evidence.gain))
-    if _sure(first, settings):
+    if in_no_doubt(first, settings):
         return first
-    return next((c for c in reasons if c.evidence.gain > first.evidence.gain - settings.likely and _sure(c, settings)), first)
+    return next((c for c in reasons if c.evidence.gain > first.evidence.gain - settings.likely and in_no_doubt(c, settings)), first)
 
 
-def _sure(c: Candidate, settings: Settings) -> bool:
+def in_no_doubt(c: Candidate, settings: Settings) -> bool:
     """Whether a candidate gains in so many resampled blocks that it can be accepted by them."""
     return c.evidence.improves(settings.resamples) > settings.sure
 

@@ -11,7 +11,8 @@ from afdsvc.plugins.physics.attach import at_parameter, constant
 from afdsvc.plugins.physics.parameter_change import ParameterChange, inertia
 
 TIME = Signal("t")
-MOMENTS = (0.25, 0.5, 0.75)  # of the time that the recordings span, where fits begin: changes that take a quarter of it cover all of it
+MOMENTS = (0.25, 0.5, 0.75)  # of the time that the recordings span, where fits begin
+LONGEST, FIRST = 0.25, 0.2  # of that time, that the change may take (what takes longer is a drift), and takes where fits begin
 LEAST, MOST = -0.99, 1.0  # a number keeps its sign and at most doubles, as one that drifts
 SIDES = 0.1  # of that time, at least, on either side of the moment: a change at the very beginning or end stands for the start of a recording, or its end
 FIXED = 3  # constants of the model come after the change, its moment and how long it takes
@@ -67,10 +68,10 @@ class ParameterStep:
         return {
             "physics": self.name, "family": "drift",
             "parameters": (
-                change, Coefficient("moment", "s", begin + SIDES * whole, end - SIDES * whole, 0.1 * whole, later=-1e300), Coefficient("time it takes", "s", machine.dt, whole, 0.1 * whole, nuisance=True),
+                change, Coefficient("moment", "s", begin + SIDES * whole, end - SIDES * whole, 0.1 * whole, later=-1e300), Coefficient("time it takes", "s", machine.dt, LONGEST * whole, 0.1 * whole, nuisance=True, decisive=True),
                 *constants,
             ),
-            "starts": tuple((0.0, begin + share * whole, whole / 4, *(c.low for c in constants)) for share in MOMENTS),
+            "starts": tuple((0.0, begin + share * whole, FIRST * whole, *(c.low for c in constants)) for share in MOMENTS),
             "predicts": "a residual that begins at one moment, in proportion to the part of the model that this number governs",
             "refuted_by": "a residual that is the same at the beginning and at the end",
         }

@@ -18,7 +18,7 @@ from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
 from afdsvc.explain.search.forward import search
 from afdsvc.explain.search.machine import hypotheses, machine
 from afdsvc.explain.search.path import Trial, bases, kept_promises, promising, trial
-from afdsvc.explain.search.ranking import Candidate, look_alikes, vote_shares
+from afdsvc.explain.search.ranking import Candidate, look_alikes, mechanism, vote_shares
 from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.effects import PlacedEffect
@@ -167,6 +167,26 @@ def test_a_further_effect_that_recordings_held_out_follow_worse_is_not_accepted(
     dropped = search(base, LIBRARY, better=without)
     assert dropped.effects == 1  # the last one is for the verdict to judge
     assert "better without it" in dropped.steps[1].reason
+
+
+def test_where_recordings_held_out_refute_a_doubtful_further_effect_the_next_that_is_in_no_doubt_is_tried(monkeypatch):
+    model = motor.model()
+    late = [replace(t, values=np.column_stack([t.values[:, 0], np.roll(t.values[:, 1], 5)])) for t in (motor.recording(60.0, s, name=f"r{s}") for s in (1, 2))]
+    decided, doubtful = forward._decided, []
+
+    def doubted(ranked, limited, rounds, by_chance, further):
+        step = decided(ranked, limited, rounds, by_chance, further)
+        doubtful.extend([mechanism(ranked[0].hypothesis)] if further and not doubtful else [])
+        return replace(step, reason="in doubt") if further and mechanism(ranked[0].hypothesis) in doubtful else step
+
+    monkeypatch.setattr(forward, "_decided", doubted)
+    found = search(settled(build(nominal(model, motor.DT), prepare(model, late), Settings())), [*LIBRARY, ActuatorLag()], better=lambda *paths: 0.5)
+    refuted = next(s for s in found.steps if s.reason == "in doubt")
+    instead = next(s for s in found.steps[1:] if s.accepted)
+    assert (refuted.accepted, mechanism(refuted.candidates[0].hypothesis)) == (False, doubtful[0])
+    assert doubtful[0] not in [mechanism(c.hypothesis) for c in instead.candidates]
+    assert not instead.reason
+    assert found.effects == 2
 
 
 def test_the_gain_of_a_sensor_is_no_reason_where_a_predictor_is_corrected():
