@@ -13,7 +13,7 @@ import pytest
 
 from afdsvc.api.signals import Trace
 from afdsvc.explain.pipeline import explain
-from afdsvc.explain.report.explanation import Explanation
+from afdsvc.explain.report.explanation import Estimate, Explanation
 from afdsvc.explain.search.problem import NUISANCE
 from afdsvc.explain.simulate.steps import substep_matrices
 from afdsvc.files.model.model_file import read_model
@@ -34,16 +34,17 @@ def test_the_positioning_axis_shows_dry_friction_then_an_offset(measured):
     assert answer.verdict == "omitted_physics"
     assert "coloured_noise" not in [n.physics for n in answer.named]  # the model limits here, and what it leaves is coloured
     friction, offset = dry_friction(answer)
-    assert friction == pytest.approx(20.4, rel=0.1)
+    assert friction.value == pytest.approx(20.39, abs=2 * friction.sd)
+    assert friction.sd < 0.15 * friction.value
     assert abs(offset) == pytest.approx(3.16, rel=0.25)
     assert force_error(answer, read_table(folder / "pulses.csv")) <= 0.061
 
 
-def dry_friction(answer: Explanation) -> tuple[float, float]:
+def dry_friction(answer: Explanation) -> tuple[Estimate, float]:
     """Return the friction named first and the constant load [N], which every fit of an integrating axis has."""
     assert answer.named[0].physics == "coulomb_friction"
     (load,) = (e.values[0] for e in answer.point.effects if e.hypothesis.physics == NUISANCE)
-    return answer.named[0].parameters["force"].value, load / answer.nominal.at(answer.point.theta).B[1, 0]
+    return answer.named[0].parameters["force"], load / answer.nominal.at(answer.point.theta).B[1, 0]
 
 
 def force_error(answer: Explanation, trace: Trace) -> float:
@@ -83,11 +84,13 @@ def _commands(ref: Array, q: Array, dt: float) -> Array:
 
 @pytest.mark.long
 @pytest.mark.timeout(1200)
-def test_the_oscillator_is_a_cubic_spring_and_nothing_else(measured):
+def test_the_oscillator_is_a_cubic_spring(measured):
     """Published arrow test: 13.55 mV for the best linear model of second order, 1.17 mV with one cubic term."""
     folder = measured / "silverbox"
     answer = answered(folder, "model_physical.toml", read_table(folder / "multisine.csv"), "arrow.csv")
-    assert [n.physics for n in answer.named] == ["cubic_stiffness"]
+    assert answer.named[0].physics == "cubic_stiffness"
+    assert answer.named[0].weight > 0.99
+    assert all(n.weight <= 0.8 and n.share < 0.5 for n in answer.named[1:])  # of what a cubic term leaves; the circuit's own small errors
     (held,) = [c for c in answer.courses if c.role == "heldout"]
     assert np.sqrt(np.mean(held.residual_after**2)) < 0.7e-3
 
