@@ -103,7 +103,8 @@ def _read(path: Path, items: Iterable[Item], places: Mapping[str, str], time: Ti
     for item in items:
         file.take(item, places)
         refuse_more(path, file.kept, most, "bytes in mapped messages")
-    topics = _topics(places, {c.topic: file.kind(c) for c in file.channels.values()}, path)
+    damage = "".join(f"; {loss}" for loss in file.losses[:1])
+    topics = _topics(places, {c.topic: file.kind(c) for c in file.channels.values()}, path, damage)
     for id, messages in file.stored.items():
         channel = file.channels[id]
         if channel.topic in topics:
@@ -112,7 +113,7 @@ def _read(path: Path, items: Iterable[Item], places: Mapping[str, str], time: Ti
                 _take(topics[channel.topic], decode, message, time, path)
     empty = next((name for name, topic in topics.items() if not topic.values), None)
     if empty is not None:
-        raise BadInput(f"{path}: topic '{empty}' has no messages; expected samples")
+        raise BadInput(f"{path}: topic '{empty}' has no messages; expected samples{damage}")
     return topics, file.losses
 
 
@@ -157,14 +158,14 @@ def _take(topic: _Topic, decode: Decode, message: Message, time: Time, path: Pat
         raise BadInput(f"{path}: {error}") from None
 
 
-def _topics(places: Mapping[str, str], there: Mapping[str, str], path: Path) -> dict[str, _Topic]:
+def _topics(places: Mapping[str, str], there: Mapping[str, str], path: Path, damage: str) -> dict[str, _Topic]:
     """Return the topics that are mapped; the longest topic that begins a place is meant."""
     topics: dict[str, _Topic] = {}
     for signal, place in places.items():
         fitting = [name for name in there if _fits(name, place)]
         if not fitting:
             listed = ", ".join(f"{name} ({kind})" for name, kind in sorted(there.items())) or "no messages at all"
-            raise BadInput(f"{path}: no topic for '{place}', which is to be {signal}; expected TOPIC.FIELD, and it has {listed}")
+            raise BadInput(f"{path}: no topic for '{place}', which is to be {signal}; expected TOPIC.FIELD, and it has {listed}{damage}")
         name = max(fitting, key=len)
         topics.setdefault(name, _Topic(name)).fields[signal] = place[len(name) :].lstrip(".")
     return topics

@@ -307,6 +307,20 @@ def test_paths_and_stamps_of_odd_messages():
         number({"v": 10**400}, "v", "here")
 
 
+def test_chunks_that_hold_more_than_they_state_are_said_to_be_damaged(tmp_path):
+    path = write_json(tmp_path / "short.mcap", True, chunk=4000)
+    raw, at = bytearray(path.read_bytes()), 8
+    while raw[at]:
+        length = int.from_bytes(raw[at + 1 : at + 9], "little")
+        if raw[at] == 6:  # a chunk: times of its first and last message, then the bytes it states
+            raw[at + 25 : at + 33] = (100).to_bytes(8, "little")
+        at += 9 + length
+        if raw[at : at + 8] == b"\x89MCAP0\r\n":
+            break
+    path.write_bytes(raw)
+    assert "is damaged: it holds more bytes than the 100 it states" in refusal(path, "encoder.angle.deg[0]")
+
+
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_bytes_are_read_or_refused_never_fatal(data, tmp_path):
