@@ -189,6 +189,16 @@ def test_where_recordings_held_out_refute_a_doubtful_further_effect_the_next_tha
     assert found.effects == 2
 
 
+@pytest.mark.parametrize(("lengths", "kept"), [((4000,) * 10, (2500, 1, 1, 2500, 1, 1, 2500, 1, 1, 2500)), ((9000, 600), (9000, 600)), ((15000, 5000), (7500, 2500)), ((400,) * 9 + (9000,), (392, 1, 1, 392, 1, 1, 392, 1, 1, 8823))])
+def test_four_recordings_stand_for_many_that_are_long(lengths, kept):
+    p = problem(0.0, seeds=(1,))
+    one = p.runs[0]
+    long = [replace(one, U=np.resize(one.U, (n, 1)), Y=np.resize(one.Y, (n, 1)), AUX=np.zeros((n, 0)), REF=np.zeros((n, 1)), taken=None) for n in lengths]
+    parts = p.of(long, p.x0[:1] * len(long)).beginning()
+    assert [len(r) for r in parts.runs] == list(kept)
+    assert len(parts.x0) == len(lengths)
+
+
 def test_the_gain_of_a_sensor_is_no_reason_where_a_predictor_is_corrected():
     base = settled(problem(0.0))
     seen = machine(base.problem, list(base.start.values())[-1], 0.0)

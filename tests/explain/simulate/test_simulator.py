@@ -17,6 +17,7 @@ from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.simulate.predictor import correction_gain
 from afdsvc.explain.simulate.simulator import Simulator
 from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics.back_emf import _coil
 
 AXIS = StateSpace.of([[0, 1], [-30, -0.8]], [[0], [20]], [[1, 0]])
 
@@ -105,13 +106,6 @@ def test_linear_plant_with_three_effects(model, recording, excitation, effect):
     assert error[1] < error[0] / 10  # second order: four sub-steps
 
 
-def coil(p, z, m, dt, out):
-    """``tau w' + w = u - e v`` in place of u, v that of the middle of the step."""
-    goal, decay = z[0] - p[1] * (z[1] + 0.5 * (z[1] - m[1])), math.exp(-dt / p[0])
-    out[0] += goal + (m[0] - goal) * (1 - decay) * p[0] / dt - z[0]
-    m[0], m[1] = goal + (m[0] - goal) * decay, z[1]
-
-
 def test_what_acts_within_a_sample_reads_the_states_of_its_substep(model, recording, excitation, effect):
     """A coil whose induced voltage stiffens and damps the axis, against the machine with the coil as a state."""
     tau, e = 0.02, 0.05
@@ -121,7 +115,7 @@ def test_what_acts_within_a_sample_reads_the_states_of_its_substep(model, record
     states = [np.zeros(3)]
     for u in excitation[:-1]:
         states.append(Ad @ states[-1] + Bd @ u)
-    expected, induced = np.array(states)[:, 0], effect(coil, "input", [("u", 0), ("x", 1)], [("u", 0)], [tau, e], memory=2)
+    expected, induced = np.array(states)[:, 0], effect(_coil, "input", [("u", 0), ("x", 1)], [("u", 0)], [tau, e, 0.0], memory=3)
     errors = [
         np.abs(play(model(AXIS), recording(excitation), [0, 0], [replace(induced, hypothesis=replace(induced.hypothesis, substeps=k))]).y[:, 0] - expected).max() for k in (4, 16)
     ]

@@ -187,6 +187,14 @@ class Pole:
 """
 
 
+def test_a_law_at_an_input_reads_the_states_of_its_substep(tmp_path):
+    h = replace(next(h for key, h in LIBRARY.items() if key.startswith("back_emf")), linear=None)
+    e = replace(explanation(PlacedEffect(h, values(h))), substeps=h.substeps)
+    r = run(np.random.default_rng(3))
+    engine = Simulator(e.nominal, np.zeros((4, 2)), substeps=h.substeps).run(r, e.point.theta, np.zeros(4), e.point.effects).y
+    assert np.linalg.norm(stepped(write_improved(e, tmp_path / "MODEL.toml", AUX)[0], r) - engine) < 1e-9 * np.linalg.norm(engine)
+
+
 def test_a_parameter_that_changed_at_a_moment_is_written_as_it_is_after_it(pendulum, tmp_path):
     nom = nominal(pendulum, DT)
     h = next(h for physics in afdsvc_physics() for h in physics.hypotheses(swinging(nom.plant)) if h.key == "parameter_step@parameter:weight#weight")

@@ -20,10 +20,10 @@ from afdsvc.plugins.physics.flexible_mode import _attach, bent_spring, masses, m
 from afdsvc.plugins.physics.gain_follows_aux import _scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.magnetic_force import pair, single
-from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
+from afdsvc.plugins.physics.parameter_change import ParameterChange, _scaled_entries, terms
 from afdsvc.plugins.physics.parameter_drift import drifting_gain, drifting_inertia, drifting_terms
 from afdsvc.plugins.physics.parameter_follows_state import levelling
-from afdsvc.plugins.physics.parameter_step import stepping, stepping_inertia
+from afdsvc.plugins.physics.parameter_step import ParameterStep, stepping, stepping_inertia
 from afdsvc.plugins.physics.periodic_disturbance import oscillation
 from afdsvc.plugins.physics.quantisation import read_in_steps
 from afdsvc.plugins.physics.runout import uneven
@@ -444,6 +444,18 @@ def test_a_number_that_changes_at_one_moment_is_as_stated_before_and_keeps_its_n
             out = np.zeros(1)
             law(np.array([change, moment, takes, *constants]), np.array([*signals, t]), np.zeros(0), 0.01, out)
             assert out[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_after_its_moment_a_number_is_what_it_would_be_if_it_differed_from_the_beginning():
+    arm = machines()[3]
+    changes = {h.notes["variant"]: h for h in ParameterChange().hypotheses(arm)}
+    for h in ParameterStep().hypotheses(arm):
+        constant = changes[h.notes["variant"]]
+        fixed = [c.low for c in constant.parameters[1:]]
+        later = h.linear(arm.plant, [-0.4, 3.0, 0.5, *(c.low for c in h.parameters[3:])])
+        expected = constant.linear(arm.plant, [-0.4, *fixed])
+        assert all(np.allclose(getattr(later, name), getattr(expected, name), atol=1e-12) for name in "ABCD")
+        assert not np.allclose(np.vstack([later.A, later.C]), np.vstack([arm.plant.A, arm.plant.C])) or not np.allclose(later.B, arm.plant.B)
 
 
 @pytest.mark.parametrize(("damping", "induced"), [(1.5, 0.0), (1.5 + 1.25 * 0.5, 0.5)])
