@@ -199,6 +199,16 @@ def test_four_recordings_stand_for_many_that_are_long(lengths, kept):
     assert len(parts.x0) == len(lengths)
 
 
+@pytest.mark.parametrize("limited", ["model", "noise"])
+def test_tones_are_looked_for_whatever_limits(limited):
+    model, tone = motor.model(), 40.0
+    t = motor.recording(60.0, 1, name="r")
+    humming = replace(t, values=np.column_stack([t.values[:, 0], t.values[:, 1] + 30 * np.sin(tone * t.dt * np.arange(len(t)))]))
+    p = build(nominal(model, motor.DT), prepare(model, [humming]), Settings())
+    found = forward._seen(p, settled(p).start, limited).tones
+    assert any(abs(w - tone) < 0.5 for w in found)
+
+
 def test_the_gain_of_a_sensor_is_no_reason_where_a_predictor_is_corrected():
     base = settled(problem(0.0))
     seen = machine(base.problem, list(base.start.values())[-1], 0.0)

@@ -86,6 +86,12 @@ def _split(text: str) -> list[list[str]]:
     return words
 
 
+def test_a_step_is_short_and_away_from_the_ends_and_a_number_keeps_its_sign():
+    h = offered(replace(machines()[ARM], span=(100.0, 200.0)))["parameter_step@input:torque#actuator gain"]
+    change, moment, takes, *_ = h.parameters
+    assert (change.low, change.high, moment.low, moment.high, takes.high, takes.decisive) == (-0.99, 1.0, 110.0, 190.0, 25.0, True)
+
+
 @pytest.mark.parametrize("physics", ["parameter_drift", "parameter_step"])
 def test_numbers_of_code_change_by_name_and_not_as_forces_of_its_linearisation(physics):
     drifts = {k for k in offered(machines()[REACTOR]) if k.startswith(physics)}
