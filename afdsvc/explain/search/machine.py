@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from afdsvc.api.model import Variable
-from afdsvc.api.physics import Axis, Hypothesis, Machine, Physics, Signal, Size
+from afdsvc.api.physics import MOST_SIGNALS, Axis, Hypothesis, Machine, Physics, Signal, Size
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.glitches import grid
 from afdsvc.dataset.screening import LEAST
@@ -33,10 +33,10 @@ def hypotheses(library: Sequence[Physics], machine: Machine, corrected: bool = F
     """Return the hypotheses of every physics at every site where it makes sense, forces on coupled axes also as they move all of these.
 
     Where a predictor is ``corrected`` by the outputs, the gain of a sensor acts as a stronger correction. It is left out: what the
-    plant shows of it is a product with the gains of the actuators.
+    plant shows of it is a product with the gains of the actuators. So are laws that read more signals than the simulation carries.
     """
     found = [shape for physics in library for h in physics.hypotheses(machine) for shape in (h, *through_mechanism(h, machine))]
-    return [h for h in found if not (corrected and is_constant(h) and h.stage == "output")]
+    return [h for h in found if len(h.reads) <= MOST_SIGNALS and not (corrected and is_constant(h) and h.stage == "output")]
 
 
 def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] = (), peaks: Sequence[float] = (), limited: str = "model") -> Machine:

@@ -13,9 +13,11 @@ from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.fit import fit
-from afdsvc.explain.search.machine import _sizes, bandwidth, machine
+from afdsvc.explain.search.machine import _sizes, bandwidth, hypotheses, machine
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
+from afdsvc.plugins.physics.parameter_change import ParameterChange
+from afdsvc.testing.conformance.physics import machines
 
 
 @pytest.mark.parametrize(("low", "high", "reverses"), [(-1.0, 1.0, True), (-0.2, 1.0, True), (-0.02, 1.0, False), (0.5, 1.0, False), (-1.0, -0.5, False)])
@@ -73,3 +75,16 @@ def test_a_machine_is_driven_where_an_input_goes_on_changing_in_some_recording(s
         traces.append(replace(trace, values=values))
     problem = build(nominal(spring, traces[0].dt), prepare(spring, traces), Settings())
     assert machine(problem, fit(problem, problem.start(), 0.0, 1.0, iterations=0), 0.0).driven is driven
+
+
+def test_laws_that_read_more_signals_than_the_simulation_carries_are_left_out():
+    motor = machines()[2]
+    gain = next(iter(ParameterChange().hypotheses(motor)))
+
+    class Wide:
+        name, summary = "wide", ""
+
+        def hypotheses(self, machine):
+            return [replace(gain, reads=gain.reads * k) for k in (16, 17)]
+
+    assert [len(h.reads) for h in hypotheses([Wide()], motor)] == [16]
