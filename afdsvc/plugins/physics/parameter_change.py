@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.attach import at_force, at_input, at_output, balance, constant, placed
+from afdsvc.plugins.physics.attach import at_force, at_input, at_output, at_parameter, balance, constant, placed
 
 IntArray = NDArray[np.int64]
 LOWEST = {"stiffness": -0.99, "damping": -3.0}  # a machine may be driven by what should damp it
@@ -59,6 +60,19 @@ class ParameterChange:
             )
         for axis in machine.axes if machine.plant is not None else ():
             yield from self._of_axis(axis, machine)
+
+    def over_time(self, machine: Machine) -> Iterator[Hypothesis]:
+        """Yield the numbers that may change with time: of code its parameters and gains, of matrices those above.
+
+        None while a machine only decays, without inputs or after a step: time and amplitude are one.
+        """
+        if not machine.driven:
+            return
+        for h in self.hypotheses(machine):
+            if not (machine.code and h.stage == "force"):
+                yield replace(h, notes={k: v for k, v in h.notes.items() if k != "gauge"})
+        for number in machine.parameters:
+            yield at_parameter(number, gain, **self._parts("change", []) | {"notes": {"variant": number.name, "of": number.name}})
 
     def _of_axis(self, axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
         assert machine.plant is not None  # noqa: S101

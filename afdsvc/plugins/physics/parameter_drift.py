@@ -9,7 +9,7 @@ from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Law, Machine
 from afdsvc.plugins.physics import parameter_change
-from afdsvc.plugins.physics.attach import at_parameter, at_state, balance, constant, decaying, state
+from afdsvc.plugins.physics.attach import at_state, balance, constant, decaying, state
 from afdsvc.plugins.physics.parameter_change import ParameterChange
 
 LONGEST = 10.0  # time constant, over the length of all recordings together, that is as good as a steady drift
@@ -45,21 +45,16 @@ _LAWS: dict[Law, Law] = {parameter_change.gain: drifting_gain, parameter_change.
 
 class ParameterDrift:
     """Gain of every input and output; of code every parameter that is not known exactly, of matrices stiffness, damping and mass of every axis, and
-    loss and capacity of every store. Nothing is offered while a machine only decays, without inputs or after a step: time and amplitude are one."""
+    loss and capacity of every store."""
 
     name = "parameter_drift"
     summary = "a number of the model that changes slowly with time, steadily or levelling off"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per number and place."""
-        if not machine.driven:
-            return
-        for h in ParameterChange().hypotheses(machine):
-            if not (machine.code and h.stage == "force"):
-                yield replace(h, law=_LAWS[h.law], linear=None, notes={k: v for k, v in h.notes.items() if k != "gauge"}, **self._course(machine, h.parameters[1:]))
-        for number in machine.parameters:
-            yield at_parameter(number, drifting_gain, notes={"variant": number.name, "of": number.name}, **self._course(machine))
-        for store, loss in decaying(machine) if not machine.code else ():
+        for h in ParameterChange().over_time(machine):
+            yield replace(h, law=_LAWS[h.law], linear=None, **self._course(machine, h.parameters[1:]))
+        for store, loss in decaying(machine) if machine.driven and not machine.code else ():
             own = [constant("nominal", "", -loss)]
             yield at_state(store, drifting_terms, [state(store)], notes={"variant": "loss", "of": "loss"}, **self._course(machine, own))
             reads, constants = balance(machine, store)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
-from afdsvc.plugins.physics.attach import at_parameter, constant
+from afdsvc.plugins.physics.attach import constant
 from afdsvc.plugins.physics.parameter_change import ParameterChange, inertia
 
 TIME = Signal("t")
@@ -40,7 +40,7 @@ def stepping_inertia(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 class ParameterStep:
     """Gain of every input and output; of code every parameter that is not known exactly, of matrices stiffness, damping and mass of every axis.
 
-    Nothing is offered where no input goes on changing: time and amplitude are one. The improved model has the number as it is after the change.
+    The improved model has the number as it is after the change.
     """
 
     name = "parameter_step"
@@ -48,28 +48,20 @@ class ParameterStep:
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one hypothesis per number and place."""
-        if not machine.driven:
-            return
-        for h in ParameterChange().hypotheses(machine):
-            if machine.code and h.stage == "force":
-                continue
-            constants = h.parameters[1:] or (constant("nominal", "", 1.0),)
-            notes = {k: v for k, v in h.notes.items() if k != "gauge"}
+        for h in ParameterChange().over_time(machine):
             law = stepping_inertia if h.law is inertia else stepping
-            change = replace(h.parameters[0], low=max(h.parameters[0].low, LEAST), high=MOST)
-            yield replace(h, law=law, reads=(*h.reads, TIME), notes=notes, linear=_after(h), **self._course(machine, change, constants))
-        for number in machine.parameters:
-            change, one = Coefficient("change", "", LEAST, MOST, 0.02, linear=True), constant("nominal", "", 1.0)
-            yield at_parameter(number, stepping, [TIME], notes={"variant": number.name, "of": number.name}, **self._course(machine, change, (one,)))
+            yield replace(h, law=law, reads=(*h.reads, TIME), linear=_after(h), **self._course(machine, h))
 
-    def _course(self, machine: Machine, change: Coefficient, constants: Sequence[Coefficient]) -> dict[str, Any]:
+    def _course(self, machine: Machine, h: Hypothesis) -> dict[str, Any]:
         begin, end = machine.span or (0.0, machine.duration)
-        whole = end - begin
+        whole, change = end - begin, h.parameters[0]
+        constants = h.parameters[1:] or (constant("nominal", "", 1.0),)
         return {
             "physics": self.name, "family": "drift",
             "parameters": (
-                change, Coefficient("moment", "s", begin + SIDES * whole, end - SIDES * whole, 0.1 * whole, later=-1e300), Coefficient("time it takes", "s", machine.dt, LONGEST * whole, 0.1 * whole, nuisance=True, decisive=True),
-                *constants,
+                replace(change, low=max(change.low, LEAST), high=MOST),
+                Coefficient("moment", "s", begin + SIDES * whole, end - SIDES * whole, 0.1 * whole, later=-1e300),
+                Coefficient("time it takes", "s", machine.dt, LONGEST * whole, 0.1 * whole, nuisance=True, decisive=True), *constants,
             ),
             "starts": tuple((0.0, begin + share * whole, FIRST * whole, *(c.low for c in constants)) for share in MOMENTS),
             "predicts": "a residual that begins at one moment, in proportion to the part of the model that this number governs",
