@@ -144,7 +144,10 @@ class Detector(Protocol):
 
 
 class DetectorDesign(Protocol):
-    """What a detector plugin hands out: a name and a way to design the detector for one machine."""
+    """What a detector plugin hands out: a name and a way to design the detector for one machine.
+
+    One with ``passive = True`` judges quiet data, too: `diagnose` then counts a recording without bursts as tested.
+    """
 
     name: str
     summary: str

@@ -38,7 +38,6 @@ from afdsvc.wire.messages import BurstRequest, RetuneRequest
 Through = Literal["alpha", "input", "setpoint"]
 Samples = TypeVar("Samples", Trace, Block)
 STILL = 100  # samples that references rest for before a burst is looked for in them
-PASSIVE = "passive_"  # names of detectors that watch between bursts begin so
 CALIBRATED = 2 / 3  # of the quiet samples before the first burst
 
 
@@ -88,6 +87,7 @@ class OfflineDiagnosis:
         self.session = ""
         self.seconds = 0.0
         self.watched = False
+        self._watches = any(getattr(plugins.get("detectors", d.kind), "passive", False) for d in machine.config.detectors)
 
     def take(self, block: Block) -> None:
         """Judge a block."""
@@ -96,7 +96,7 @@ class OfflineDiagnosis:
         self.remarks += [f.message for f in outcome.findings]
         ready = self.stream.ready_at
         if not block.burst and outcome.residual is not None and ready is not None and block.k0 + len(block) > ready:
-            self.watched = any(d.kind.startswith(PASSIVE) for d in self.machine.config.detectors)
+            self.watched = self._watches
         self.follow(block)
 
     def follow(self, block: Block) -> None:

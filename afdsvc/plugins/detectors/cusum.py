@@ -34,6 +34,7 @@ class PassiveCusumDesign:
 
     name = "passive_cusum"
     summary = "sequential test between bursts on what the loop's own noise reveals"
+    passive = True
 
     def design(self, problem: DetectionProblem, settings: Mapping[str, Any]) -> Detector:
         """Return the detector; raises `BadInput` for a setting that is unknown or out of range."""

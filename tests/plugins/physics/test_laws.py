@@ -20,10 +20,8 @@ from afdsvc.plugins.physics.flexible_mode import _attach, bent_spring, masses, m
 from afdsvc.plugins.physics.gain_follows_aux import _scaled
 from afdsvc.plugins.physics.hysteresis import bouc_wen, bouc_wen_turned
 from afdsvc.plugins.physics.magnetic_force import pair, single
-from afdsvc.plugins.physics.parameter_change import ParameterChange, _scaled_entries, terms
-from afdsvc.plugins.physics.parameter_drift import drifting_gain, drifting_inertia, drifting_terms
+from afdsvc.plugins.physics.parameter_change import _scaled_entries, terms
 from afdsvc.plugins.physics.parameter_follows_state import levelling
-from afdsvc.plugins.physics.parameter_step import ParameterStep, stepping, stepping_inertia
 from afdsvc.plugins.physics.periodic_disturbance import oscillation
 from afdsvc.plugins.physics.quantisation import read_in_steps
 from afdsvc.plugins.physics.runout import uneven
@@ -327,25 +325,6 @@ def test_an_ac_coupled_sensor_is_a_high_pass_by_law_and_matrices():
     assert plant.C @ np.linalg.solve(s * np.eye(2) - plant.A, plant.B) + plant.D == pytest.approx(np.array([[(3.0 / (s + 3) + 0.5) * s * tau / (s * tau + 1)]]))
 
 
-def test_a_number_that_drifts_levels_off_keeps_its_sign_and_at_most_doubles():
-    """``c = rate tau (1 - exp(-t / tau))``, of a gain, of the terms of a balance, and of a mass."""
-    t, tau, rate = 0.01 * np.arange(300), 0.5, -0.4
-    c = rate * tau * (1 - np.exp(-t / tau))
-    for law, constants, signals, expected in (
-        (drifting_gain, (), [3.0], 3.0 * c), (drifting_terms, (2.0, -1.0), [3.0, 4.0], 2.0 * c), (drifting_inertia, (2.0, -1.0), [3.0, 4.0], 2.0 / (1 + c) - 2.0),
-    ):
-        memory, found = np.zeros(1), []
-        for _ in t:
-            out = np.zeros(1)
-            law(np.array([rate, tau, *constants]), np.array(signals), memory, 0.01, out)
-            found.append(out[0])
-        assert found == pytest.approx(expected, abs=1e-12)
-        for rate_, ends in ((-9.0, {drifting_gain: -2.97, drifting_terms: -1.98, drifting_inertia: 198.0}), (9.0, {drifting_gain: 3.0, drifting_terms: 2.0, drifting_inertia: -1.0})):
-            out = np.zeros(1)
-            law(np.array([rate_, tau, *constants]), np.array(signals), np.array([9.0]), 0.01, out)
-            assert out[0] == pytest.approx(ends[law])
-
-
 def test_a_number_that_follows_a_signal_levels_off():
     number, x = 2.0, np.array([-30.0, -1.0, 0.0, 3.0, 5.0])
     signal = np.column_stack([np.full(5, number), x])
@@ -432,30 +411,6 @@ def test_a_drive_that_starts_at_a_threshold_is_odd_and_meets_the_levels_gain():
     assert np.abs(driven[np.abs(u) <= 2]).max() == 0.0
     assert np.allclose(driven, -driven[::-1])
     assert np.allclose(driven[u > 2], np.sqrt(4 * (u[u > 2] - 2)))
-
-
-def test_a_number_that_changes_at_one_moment_is_as_stated_before_and_keeps_its_new_value():
-    change, moment, takes = -0.4, 10.0, 2.0
-    for t, reached in ((0.0, 0.0), (9.0, 0.0), (9.5, 0.15625), (10.0, 0.5), (10.5, 0.84375), (11.0, 1.0), (1e9, 1.0)):
-        c = change * reached
-        for law, constants, signals, expected in (
-            (stepping, [1.0], [3.0], 3.0 * c), (stepping, [2.0, -1.0], [3.0, 4.0], 2.0 * c), (stepping_inertia, [2.0, -1.0], [3.0, 4.0], 2.0 / (1 + c) - 2.0),
-        ):
-            out = np.zeros(1)
-            law(np.array([change, moment, takes, *constants]), np.array([*signals, t]), np.zeros(0), 0.01, out)
-            assert out[0] == pytest.approx(expected, abs=1e-12)
-
-
-def test_after_its_moment_a_number_is_what_it_would_be_if_it_differed_from_the_beginning():
-    arm = machines()[3]
-    changes = {h.notes["variant"]: h for h in ParameterChange().hypotheses(arm)}
-    for h in ParameterStep().hypotheses(arm):
-        constant = changes[h.notes["variant"]]
-        fixed = [c.low for c in constant.parameters[1:]]
-        later = h.linear(arm.plant, [-0.4, 3.0, 0.5, *(c.low for c in h.parameters[3:])])
-        expected = constant.linear(arm.plant, [-0.4, *fixed])
-        assert all(np.allclose(getattr(later, name), getattr(expected, name), atol=1e-12) for name in "ABCD")
-        assert not np.allclose(np.vstack([later.A, later.C]), np.vstack([arm.plant.A, arm.plant.C])) or not np.allclose(later.B, arm.plant.B)
 
 
 @pytest.mark.parametrize(("damping", "induced"), [(1.5, 0.0), (1.5 + 1.25 * 0.5, 0.5)])
