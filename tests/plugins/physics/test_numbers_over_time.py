@@ -47,6 +47,7 @@ def test_after_its_moment_a_number_is_what_it_would_be_if_it_differed_from_the_b
     changes = {h.notes["variant"]: h for h in ParameterChange().hypotheses(arm)}
     for h in ParameterStep().hypotheses(arm):
         constant = changes[h.notes["variant"]]
+        assert "gauge" not in h.notes  # a product that changes has two places
         fixed = [c.low for c in constant.parameters[1:]]
         later = h.linear(arm.plant, [-0.4, 3.0, 0.5, *(c.low for c in h.parameters[3:])])
         expected = constant.linear(arm.plant, [-0.4, *fixed])
