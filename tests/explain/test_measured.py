@@ -90,7 +90,7 @@ def test_the_oscillator_is_a_cubic_spring(measured):
     answer = answered(folder, "model_physical.toml", read_table(folder / "multisine.csv"), "arrow.csv")
     assert answer.named[0].physics == "cubic_stiffness"
     assert answer.named[0].weight > 0.99
-    assert all(n.weight <= 0.8 and n.share < 0.5 for n in answer.named[1:])  # of what a cubic term leaves; the circuit's own small errors
+    assert all(n.weight <= 0.8 and n.share_of_gap < 0.5 for n in answer.named[1:])  # of what a cubic term leaves; the circuit's own small errors
     (held,) = [c for c in answer.courses if c.role == "heldout"]
     assert np.sqrt(np.mean(held.residual_after**2)) < 0.7e-3
 
