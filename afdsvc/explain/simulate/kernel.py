@@ -302,8 +302,8 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
 
     ``values`` are the parameters of Python code, left as effects changed them last. Open: ``U (n, m)`` is the measured input. Closed: ``u = K (yhat - R) + U`` with ``U`` what was added to the controller's
     output. ``laws`` holds the addresses of the compiled laws. Samples where Y is not finite correct nothing. ``ramped`` (open only)
-    takes the input to run smoothly from sample to sample instead of being held, ``gam`` and ``gamh`` its coefficients; input laws
-    then see no states. ``along (E, 2)`` are the signals that forces act along, and the gains by which their sizes are those of the signals: they are
+    takes the input to run smoothly from sample to sample instead of being held, ``gam`` and ``gamh`` its coefficients; what input
+    laws add to it from the first on that reads states, outputs or parameters is held over every sub-step. ``along (E, 2)`` are the signals that forces act along, and the gains by which their sizes are those of the signals: they are
     written to states beyond the last, and their columns of ``gx (n, n + E)`` follow code. ``direct``: the input reaches the output at once. Outputs feel
     ``felt (p, n)`` of the forces of effects at once: half of the one before the sample and half of the one after. Where ``xhat`` has no rows only outputs are kept.
     """
@@ -316,14 +316,18 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
     push, before, sensed = np.zeros(n), np.zeros(n), bool(np.any(felt))
     xk, knew, e = np.zeros(nk), np.zeros(nk), np.zeros(p)
     u, ue, held, y = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(p)
-    mean = np.zeros(m)
+    mean, added = np.zeros(m), np.zeros(m)
     drive = np.zeros((DEGREE + 1) * m) if ramped else mean
     it, ip = m + n + p + na, m + n + p + na + 1 + AHEAD * m
     s, work, first = np.zeros(ip + values.size), np.zeros(2 * MOST_SIGNALS), np.zeros(MOST_SIGNALS)
     last, stated = np.zeros(plan.shape[0]), values.copy()
     corrected = 0 if closed or not np.any(Kp) else p
     shaped, observed, rubbed, led, varied = False, False, False, False, False
+    early = plan.shape[0]  # effects before the first at an input that the measured input and time do not settle
     for i in range(plan.shape[0]):
+        for r in range(plan[i, 1] if plan[i, 0] == INPUT else 0):
+            if m <= plan[i, READS + r] < m + n + p or plan[i, READS + r] >= ip:
+                early = min(early, i)
         shaped = shaped or plan[i, 0] == INPUT
         observed = observed or plan[i, 0] == OUTPUT
         rubbed = rubbed or plan[i, 0] == FRICTION
@@ -339,7 +343,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
                 s[j] = smooth[k, j]
             if led:
                 _recorded(laws, plan, par, mem, s, work, dt, k, U, smooth[k], it)
-            _apply(INPUT, laws, plan, par, mem, s, work, dt, smooth[k], 0)
+            _apply(INPUT, laws[:early], plan[:early], par[:early], mem, s, work, dt, smooth[k], 0)
     for k in range(N):
         s[it] = t0 + k * dt
         for j in range(na):
@@ -352,7 +356,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
             _apply(PARAMETER, laws, plan, par, mem, s, work, dt, values, ip)
         if ramped:
             for j in range(m):
-                ue[j] = smooth[k, j]
+                ue[j] = smooth[k, j] + added[j]
         elif direct and not closed:
             for j in range(m):
                 u[j] = U[k, j]
@@ -406,8 +410,12 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
         for sub in range(nsub):
             if ramped:
                 _between(smooth, k, sub / nsub, 1 / nsub, drive, mean)
-                for j in range(m):
-                    s[j] = mean[j]
+                added[:] = -mean
+                s[:m] = mean
+                s[m : m + n] = x
+                _apply(INPUT, laws[early:], plan[early:], par[early:], mem, s, work, h, mean, 0)
+                added += mean
+                drive[:m] += added
             elif shaped and sub > 0:
                 mean[:] = u
                 s[:m] = u

@@ -30,6 +30,10 @@ def dead_zone(p, z, m, dt, out):
     out[0] -= min(max(z[0], -p[0]), p[0])
 
 
+def amplified(p, z, m, dt, out):
+    out[0] += (p[0] - 1) * z[0]
+
+
 def square(p, z, m, dt, out):
     out[0] += p[0] * z[0] ** 2
 
@@ -121,6 +125,34 @@ def test_what_acts_within_a_sample_reads_the_states_of_its_substep(model, record
     ]
     assert errors[0] < 2e-3 * np.ptp(expected)
     assert errors[1] < errors[0] / 10  # second order
+
+
+@pytest.mark.parametrize("direct", [0.0, 0.3])
+def test_what_acts_within_a_sample_follows_an_input_that_runs_smoothly(model, recording, effect, direct):
+    """A dead zone, then a coil whose induced voltage stiffens and damps the axis, then a gain, against the exact machine."""
+    tau, e, gain, zone, found = 0.02, 0.05, 1.5, 0.3, nominal(model(StateSpace(AXIS.A, AXIS.B, AXIS.C, np.full((1, 1), direct))), 0.01)
+
+    def voltage(t):
+        return 2.5 + 0.8 * np.sin(9.0 * t) + np.sin(4.0 * t + 1.0)
+
+    def rate(t, x):
+        return [*(AXIS.A @ x[:2] + AXIS.B[:, 0] * gain * x[2]), (voltage(t) - zone - e * x[1] - x[2]) / tau]
+
+    t = 0.01 * np.arange(300)
+    x = solve_ivp(rate, (0.0, t[-1]), [0.0, 0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-12, max_step=0.01).y
+    expected = x[0] + direct * gain * x[2]
+    effects = [
+        effect(dead_zone, "input", [("u", 0)], [("u", 0)], [zone]),
+        effect(_coil, "input", [("u", 0), ("x", 1)], [("u", 0)], [tau, e, 0.0], memory=3),
+        effect(amplified, "input", [("u", 0)], [("u", 0)], [gain]),
+    ]
+    errors = []
+    for k in (4, 16):
+        fine = [replace(one, hypothesis=replace(one.hypothesis, substeps=k)) for one in effects]
+        y = Simulator(found, np.zeros((2, 1)), ramped=True).run(recording(voltage(t)[:, None]), np.zeros(len(found.entries)), np.zeros(2), fine).y[:, 0]
+        errors.append(np.abs(y - expected)[1:].max() / np.ptp(expected))  # the coil was without current before the first sample
+    assert errors[0] < (2e-2 if direct else 1e-4)  # what reaches the output at once lags by half a sub-step
+    assert errors[1] < (errors[0] / 3 if direct else 1e-4)
 
 
 def finer(effects):
