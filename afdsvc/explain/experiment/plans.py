@@ -74,8 +74,8 @@ def _plan(band: tuple[float, float], level: float, peaks: Array, dt: float) -> P
 
 
 def multisine_plan(band: tuple[float, float], peaks: Array, dt: float) -> Burst:
-    """Return an odd multisine with detection lines, five periods, each long enough for the lowest frequency."""
-    seconds = PERIODS * max(SECONDS, 1 / band[0])
+    """Return an odd multisine with detection lines, five periods, each long enough for the lowest frequency and for `LINES` lines."""
+    seconds = PERIODS * max(SECONDS, 1 / band[0], 2 * LINES * dt)
     burst = multisine_burst(Band(band[0], band[1], peaks, dt), seconds, np.random.default_rng(SEED), "odd_random", PERIODS, "next_experiment")
     return replace(burst, purpose="explain")
 

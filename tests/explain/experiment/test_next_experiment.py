@@ -71,6 +71,16 @@ def test_a_machine_without_inputs_has_no_first_experiment(spring, recorded):
     assert first_experiment(nominal(free, runs[0].dt), runs) is None
 
 
+@pytest.mark.parametrize("dt", [1e-5, 2e-3, 0.031, 0.04, 0.1, 0.11, 3.0, 3600.0])
+def test_a_machine_of_any_sample_time_has_a_first_experiment(spring, recorded, dt):
+    """Its lines lie in its band, below the Nyquist frequency."""
+    runs = [replace(r, dt=dt) for r in prepare(spring, [recorded(1)])]
+    found = first_experiment(nominal(spring, dt), runs)
+    lines = np.array([x.omega for x in found.burst.lines]) / (2 * np.pi)
+    assert found.band_hz[0] <= lines.min() < lines.max() <= found.band_hz[1] < 0.5 / dt
+    assert len(lines) >= 4
+
+
 @pytest.mark.parametrize(("mean", "gain", "most"), [(0.0, 1.0, np.inf), (5.0, 1.0, 1.0), (-5.0, 1.0, 1.0), (5.0, 2.0, 2.0)])
 def test_an_input_that_never_changes_its_sign_stays_in_its_range(spring, recorded, mean, gain, most):
     """A heater or a pump may be unable to: half of its range is the most on either side."""
