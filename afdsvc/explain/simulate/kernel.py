@@ -38,6 +38,10 @@ SHARP = 0.001  # share of the sub-step that an implicit law gets as dt: it need 
 CLOSE = 1e-8  # error of an implicit force, over the force
 PASSES = 40  # most evaluations of a friction law in one sub-step
 
+_inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+# The caller holds all arrays: counting who else does takes longer than the rest.
+_called = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
+
 
 @intrinsic
 def _address(typingctx, array):  # type: ignore[no-untyped-def]
@@ -63,7 +67,7 @@ def _call(typingctx, function, arguments):  # type: ignore[no-untyped-def]
     return types.void(types.int64, arguments), build
 
 
-@njit(cache=True, nogil=True, inline="always")
+@_inlined
 def _evaluate(i, laws, plan, par, mem, work, dt):  # type: ignore[no-untyped-def]
     """Call law ``i`` on the signals at the start of ``work``; what it adds is left from `MOST_SIGNALS` on."""
     nwrite = plan[i, 2]
@@ -73,7 +77,7 @@ def _evaluate(i, laws, plan, par, mem, work, dt):  # type: ignore[no-untyped-def
     _call(laws[i], (values, plan[i, 3], z, plan[i, 1], memory, plan[i, 5] - plan[i, 4], dt, z + 8 * MOST_SIGNALS, nwrite))
 
 
-@njit(cache=True, nogil=True)
+@_called
 def _apply(stage, laws, plan, par, mem, s, work, dt, target, base):  # type: ignore[no-untyped-def]
     """Add to ``target`` what every effect of this stage contributes, given the signals ``s``.
 
@@ -92,7 +96,7 @@ def _apply(stage, laws, plan, par, mem, s, work, dt, target, base):  # type: ign
                 s[base + j] = target[j]
 
 
-@njit(cache=True, nogil=True)
+@_called
 def _recorded(laws, plan, par, mem, s, work, dt, k, U, u, it):  # type: ignore[no-untyped-def]
     """Apply what changes the measured input of sample ``k``, held in ``u`` and at the start of ``s``; the samples to come follow the time in ``s``."""
     N, m = U.shape
@@ -102,7 +106,7 @@ def _recorded(laws, plan, par, mem, s, work, dt, k, U, u, it):  # type: ignore[n
     _apply(RECORDED, laws, plan, par, mem, s, work, dt, u, 0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@_inlined
 def _push(column, force, gx, dt, push):  # type: ignore[no-untyped-def]
     """Add a force to ``push``, the rates of the states; columns beyond the last state are forces along signals."""
     if column < push.size:
@@ -112,7 +116,7 @@ def _push(column, force, gx, dt, push):  # type: ignore[no-untyped-def]
             push[i] += force * gx[i, column] / dt
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@_called
 def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gx, first, last, push):  # type: ignore[no-untyped-def]  # noqa: C901
     """Add friction to ``new``, the states at the end of the sub-step without it.
 
@@ -174,7 +178,7 @@ def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gx, first, last, 
                 new[j] += r * first[q] * gx[j, plan[i, READS + MOST_SIGNALS + q]]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@_inlined
 def _affine(A, x, B, u, out):  # type: ignore[no-untyped-def]
     """Write ``A x + B u`` into ``out``."""
     for i in range(out.size):
@@ -186,7 +190,7 @@ def _affine(A, x, B, u, out):  # type: ignore[no-untyped-def]
         out[i] = a
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@_inlined
 def _middle(phih, x, gamh, ue, rows, base, s):  # type: ignore[no-untyped-def]
     """Predict the states ``rows`` half a step ahead, into the signals."""
     for k in range(rows.size):
@@ -199,7 +203,7 @@ def _middle(phih, x, gamh, ue, rows, base, s):  # type: ignore[no-untyped-def]
         s[base + i] = a
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@_called
 def _between(U, k, w, share, out, middle):  # type: ignore[no-untyped-def]
     """Write the cubic through four samples around ``k`` from ``w`` of the way to sample k + 1 on: its coefficients in shares of the
     interval, constant first, and its value half a share later."""
@@ -215,7 +219,7 @@ def _between(U, k, w, share, out, middle):  # type: ignore[no-untyped-def]
         middle[j] = out[j] + (out[m + j] + (out[2 * m + j] + out[3 * m + j] / 2) / 2) / 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@_called
 def _python(function, t, x, u, values, out):  # type: ignore[no-untyped-def]
     """Call Python code by its address."""
     _call(function, (t, _address(x), _address(u), _address(values), _address(out)))  # type: ignore[call-arg]
@@ -244,7 +248,7 @@ def slopes(function, at, inputs, values, out):  # type: ignore[no-untyped-def]
                 out[k, row, j] = slope if np.isfinite(slope) else 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@_called
 def _along(rate, t, h, x, u, values, k1, along, ks, f, gx):  # type: ignore[no-untyped-def]
     """Add forces that act along an input to ``f``: as the rates follow the input here; ``along (E, 2)`` are inputs and gains, ``k1`` the rates.
 
@@ -265,7 +269,7 @@ def _along(rate, t, h, x, u, values, k1, along, ks, f, gx):  # type: ignore[no-u
             f[q] += f[n + e] * gx[q, n + e] / h
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@_called
 def _runge_kutta(rate, t, h, x, u, values, f, k1, ks, xs, new):  # type: ignore[no-untyped-def]
     """Write the state after ``h`` into ``new``: ``dx/dt = rate + f``; ``k1`` is the rate at the start, without ``f``."""
     for i in range(x.size):
