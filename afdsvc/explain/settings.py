@@ -31,6 +31,8 @@ class Settings:
     screened : int
         Samples that hypotheses are screened and first fitted on, the beginnings of four recordings; those that keep their promise are
         fitted to whole recordings.
+    shown : float
+        Share of the motion and of what is missed, per sample, that beginnings have to hold: else hypotheses are chosen where most of both is.
     refined, polished : int
         Hypotheses that are fitted with all numbers of the model after the linear screen, and those passed through all horizons; more
         of both, by the root of the ratio, where the recordings are shorter than ``screened``.
@@ -80,6 +82,7 @@ class Settings:
     noise_limited: float = 10.0
     independent: float = 200.0
     screened: int = 10_000
+    shown: float = 0.5
     refined: int = 16
     polished: int = 5
     blocks: int = 20

@@ -18,8 +18,8 @@ from afdsvc.lti.statespace import Array
 class Settled:
     """The problem with its weighting; the correlation times by horizon, and the model refitted without effects.
 
-    ``start`` has the fits to whole recordings at the horizons that decide, ``rough`` those to their beginnings, ``part``, at every
-    horizon. ``limited`` says what limits how well the recordings are followed: "noise" or "model".
+    ``start`` has the fits to whole recordings at the horizons that decide, ``rough`` those to a ``part`` of them, their beginnings or what shows more,
+    at every horizon. ``limited`` says what limits how well the recordings are followed: "noise" or "model".
     """
 
     problem: Problem
@@ -38,11 +38,16 @@ def settled(problem: Problem, choose: bool = True) -> Settled:
     s = problem.settings
     part, path = _interpolated(problem.beginning(), choose)
     problem = replace(problem, ramped=part.ramped) if part is not problem else part
-    taus = {h: f.own_tau for h, f in path.items()}
-    path = base_path(part, s.horizons, taus, part.start(), path)
-    path = {h: path[h] for h in _horizons(part, path)}
-    start = whole_path(problem, taus, path)
-    last = list(path)[-1]
+    for _ in range(2):
+        taus = {h: f.own_tau for h, f in path.items()}
+        path = base_path(part, s.horizons, taus, part.start(), path)
+        path = {h: path[h] for h in _horizons(part, path)}
+        start = whole_path(problem, taus, path)
+        last, beginnings = list(path)[-1], part
+        part = _shown(problem, part, start[last], last)
+        if part is beginnings:
+            break
+        path = base_path(part, s.horizons, dict.fromkeys(s.horizons, 1.0), part.start())
     w = weighting(problem.runs, problem.residuals(start[last].point, last))
     limited = "model"
     white = correlation_time([w(e) for e in problem.residuals(start[last].point, last)]) * s.independent < start[last].samples
@@ -58,6 +63,21 @@ def settled(problem: Problem, choose: bool = True) -> Settled:
         taus = {h: start.get(h, f).own_tau for h, f in path.items()}
         path = base_path(part, list(path), taus, part.start(), path)
     return Settled(problem, part, taus, whole_path(problem, taus, path), path, limited)
+
+
+def _shown(problem: Problem, part: Problem, f: Fit, horizon: float) -> Problem:
+    """Return the part of the recordings that hypotheses are chosen on: the beginnings, or where they hold less than `Settings.shown` of their share
+    of the motion, or of what the fit to whole recordings misses, the stretches of the same lengths that hold most of both."""
+    simulated, lengths = problem.simulated(f.point, horizon), [len(r) for r in part.runs]
+    spread = np.maximum(np.vstack([s.y for s in simulated]).std(0), 1e-300)
+    held = [np.stack([((e / f.sd) ** 2).sum(1), (((s.y - s.y.mean(0)) / spread) ** 2).sum(1)], axis=1) for e, s in zip(f.residuals, simulated, strict=True)]
+    sums = [np.vstack([np.zeros(2), np.cumsum(h, axis=0)]) for h in held]
+    seen, whole = sum(c[n] for c, n in zip(sums, lengths, strict=True)), sum(c[-1] for c in sums)
+    if (seen * f.samples >= problem.settings.shown * whole * sum(lengths)).all():
+        return part
+    begins = [int(np.argmax(((c[n:] - c[: len(c) - n]) / whole).sum(1))) for c, n in zip(sums, lengths, strict=True)]
+    stretches = [(r.span(k, k + n), s.x[k]) for r, s, k, n in zip(problem.runs, simulated, begins, lengths, strict=True)]
+    return problem.of(*zip(*stretches, strict=True))
 
 
 def under_slow_noise(settled: Settled, noise: Array) -> Settled:

@@ -391,10 +391,10 @@ def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: d
         return nothing
     if rounds.limited == "noise" and is_constant(ranked[0].hypothesis):
         expected = s.constant  # one number that is known beforehand, not the best of many hypotheses
-    asked = [(gain, expected, "gain of likelihood"), (e.gain, min(s.evidence, expected), "gain at the decision horizon")]
+    asked, doubts = [(e.gain, min(s.evidence, expected), "gain at the decision horizon")], [(sure, s.sure, "share of resampled blocks that gain")]
+    (asked if rounds.limited == "noise" else doubts).insert(0, (gain, expected, "gain of likelihood"))
     if further and rounds.limited == "model":
         asked.append((e.explained, s.further, "share of what the model leaves"))
-    doubts = [(sure, s.sure, "share of resampled blocks that gain")]
     if further or rounds.limited == "model":
         doubts.append((e.explained, s.share, "share of the gap"))
     short = [[f"{what} {value:.3g}, expected more than {least:.3g}" for value, least, what in rules if not value > least] for rules in (asked, doubts)]

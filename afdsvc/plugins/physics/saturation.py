@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Machine, Signal, Size
+from afdsvc.api.physics import Axis, Coefficient, Hypothesis, Law, Machine, Signal, Size
 from afdsvc.plugins.physics.attach import (
     at_drive,
     at_force,
@@ -79,6 +79,11 @@ def relieved(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] -= max(z[0] - p[0], 0.0) * (1 - math.exp(-p[1] * dt)) / dt
 
 
+def relieved_both_ways(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """`relieved` beyond ``+-limit``, as a difference of pressures is by two relief valves."""
+    out[0] -= math.copysign(max(abs(z[0]) - p[0], 0.0) * (1 - math.exp(-p[1] * dt)) / dt, z[0])
+
+
 def emptied(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """A state below the limit is brought back within one step: a tank that is empty, a flow that a check valve does not let turn back."""
     out[0] += max(p[0] - z[0], 0.0) / dt
@@ -86,7 +91,7 @@ def emptied(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 class Saturation:
     """A limit at every input, on one side or both, or falling with the velocity it drives; of the error of a servo, of every velocity, of every force that is a state,
-    and of every store, full, relieved or empty. All lie inside the range the recordings use."""
+    of every store, full, relieved or empty, and of what else decays, relieved both ways. All lie inside the range the recordings use."""
 
     name = "saturation"
     summary = "commands, speeds or levels beyond a limit are cut"
@@ -105,8 +110,12 @@ class Saturation:
                 yield at_state(store, _held, [state(store)], **self._of_state(store))
             else:
                 yield self._of_store(store, machine)
-                yield self._relieved(store, machine)
+                yield self._relieved(store, machine, relieved, "gradual", _full(store), [_part(store, s) for s in (0.0, 0.5, 1.0, 1.5)])
                 yield self._empty(store)
+        for held, _ in decaying(machine):
+            if held.reverses and quantity(held.unit) != "force":
+                starts = [s * held.peak for s in (0.2, 0.4, 0.6, 0.8)]
+                yield self._relieved(held, machine, relieved_both_ways, "gradual both ways", _limit(held), starts)
 
     def _of_state(self, size: Size) -> dict[str, Any]:
         return {
@@ -176,13 +185,12 @@ class Saturation:
             predicts="a level that stays at the same value whatever flows in", refuted_by="levels above the limit",
         )
 
-    def _relieved(self, store: Size, machine: Machine) -> Hypothesis:
-        own = next(rate for s, rate in decaying(machine) if s.index == store.index)
+    def _relieved(self, held: Size, machine: Machine, law: Law, variant: str, limit: Coefficient, starts: Sequence[float]) -> Hypothesis:
+        own = next(rate for s, rate in decaying(machine) if s.index == held.index)
         return at_state(
-            store, relieved, [state(store)], physics=self.name, family="limit", notes={"variant": "gradual", "of": ""},
-            parameters=[_full(store), Coefficient("rate of what is above", "1/s", 0.01 * own, 1 / machine.dt, own)],
-            starts=[(_part(store, s), 3 * own) for s in (0.0, 0.5, 1.0, 1.5)],
-            predicts="a level that is harder to raise above a value", refuted_by="a level that is raised alike everywhere",
+            held, law, [state(held)], physics=self.name, family="limit", notes={"variant": variant, "of": ""},
+            parameters=[limit, Coefficient("rate of what is beyond", "1/s", 0.01 * own, max(1 / machine.dt, 3 * own), own)], starts=[(start, 3 * own) for start in starts],
+            predicts="a level that is harder to raise beyond a value", refuted_by="a level that is raised alike everywhere",
         )
 
     def _empty(self, store: Size) -> Hypothesis:

@@ -1,4 +1,4 @@
-"""How inputs run between samples, where a recording leaves both open."""
+"""How inputs run between samples, where a recording leaves both open; which part of long recordings hypotheses are chosen on."""
 
 from dataclasses import replace
 
@@ -52,3 +52,22 @@ def test_a_staircase_is_held_even_where_a_shift_of_the_clock_makes_smoothness_fi
     early = replace(recording(np.roll(held, -delay)), values=recording(np.roll(held, -delay)).values.copy())
     early.values[:, 0] = held[::FINE]  # the machine moves before its input is read
     assert not ramped(early)
+
+
+@pytest.mark.parametrize(("level", "error", "expected"), [
+    (np.ones(1500), np.zeros(1500), 0.0),
+    (np.repeat([0.01, 1.0], [900, 600]), np.zeros(1500), 9.0),  # it hardly moves at first
+    (np.ones(1500), np.repeat([0.0, 1.0], [1100, 400]), 11.0),  # what is missed comes late
+])  # fmt: skip
+def test_hypotheses_are_chosen_where_the_machine_moves_and_is_missed(level, error, expected):
+    """400 of 1500 samples: the beginning, or the stretch that holds most; ``expected`` is its first moment [s]."""
+    rng = np.random.default_rng(2)
+    trace = recording(np.repeat(rng.standard_normal(1500) * level, FINE))
+    trace.values[:, 1] += error * 0.3 * np.sin(1.7 * np.arange(1500) * DT)
+    found = settled(build(nominal(lag(), DT), prepare(lag(), [trace]), replace(Settings(), screened=400)))
+    (part,), (whole,) = found.part.runs, found.problem.runs
+    assert (len(part), len(whole)) == (400, 1500)
+    assert part.t0 == pytest.approx(expected, abs=1.5 if expected else 0.0)
+    first = round(part.t0 / DT)
+    assert np.array_equal(part.Y, whole.Y[first : first + 400])
+    assert found.part.x0[0] == pytest.approx(whole.Y[first], abs=0.3)

@@ -100,7 +100,7 @@ def test_its_weight_counts_resampled_blocks(found):
 
 
 @pytest.mark.parametrize(
-    ("friction", "reason"), [(0.0, "no hypothesis of the library gains anything"), (15.0, "coulomb friction (force on speed): gain of likelihood")]
+    ("friction", "reason"), [(0.0, "no hypothesis of the library gains anything"), (15.0, "coulomb friction (force on speed): gain at the decision horizon")]
 )
 def test_nothing_is_accepted_from_coloured_noise_alone(friction, reason):
     """Nor friction so small that the noise hides it."""
@@ -138,8 +138,9 @@ def test_errors_of_coarse_steps_are_no_further_effect(found, monkeypatch):
 
 
 @pytest.mark.parametrize("confirms", [True, False])
-def test_what_resampled_blocks_doubt_the_recordings_held_out_decide(confirms):
-    unanimous = replace(problem(60.0), settings=replace(Settings(), sure=1.0))  # no share of resamplings is more than all of them
+@pytest.mark.parametrize(("strict", "reason"), [({"sure": 1.0}, "share of resampled blocks"), ({"sure": 1.0, "chance": 1e9}, "gain of likelihood")])
+def test_what_chance_and_resampled_blocks_doubt_the_recordings_held_out_decide(confirms, strict, reason):
+    unanimous = replace(problem(60.0), settings=replace(Settings(), **strict))  # no share of resamplings is more than all of them
     asked = []
 
     def better(problem, before, after):
@@ -149,7 +150,15 @@ def test_what_resampled_blocks_doubt_the_recordings_held_out_decide(confirms):
     found = search(settled(unanimous), LIBRARY, better=better)
     assert asked == [True]
     assert found.steps[0].accepted == confirms
-    assert "share of resampled blocks" in found.steps[0].reason
+    assert reason in found.steps[0].reason
+
+
+def test_where_noise_limits_what_chance_may_promise_is_not_accepted():
+    """Its size is known there, and recordings held out add nothing to that."""
+    base = settled(replace(problem(60.0), settings=replace(Settings(), chance=1e9)))
+    found = search(replace(base, limited="noise"), LIBRARY, better=lambda problem, before, after: 1.1)
+    assert not found.steps[0].accepted
+    assert "gain of likelihood" in found.steps[0].reason
 
 
 def test_a_further_effect_that_recordings_held_out_follow_worse_is_not_accepted():

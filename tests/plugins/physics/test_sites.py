@@ -40,7 +40,7 @@ def offered(machine: Machine) -> dict:
     (TANKS, "saturation@state:h1 saturation@state:h2 slow_mode@state:h1 static_nonlinearity@state:h1#outflow"),
     (TANKS, "static_nonlinearity@state:h2#outflow about a level constant_load@input:pump static_nonlinearity@input:pump#thrust"),
     (TANKS, "gain_follows_level@state:h1#pump gain_follows_level@state:h1#pump, flow from a supply"),
-    (COIL, "slow_mode@state:i gain_follows_level@state:i#voltage clearance@state:v#stop above clearance@state:v#stop below"),
+    (COIL, "slow_mode@state:i saturation@state:i#gradual both ways gain_follows_level@state:i#voltage clearance@state:v#stop above clearance@state:v#stop below"),
     (TANKS, "static_nonlinearity@input:pump#power static_nonlinearity@input:pump#power from a threshold"),
     (STRUCTURE, "clearance@machine#between v1,v2 clearance@machine#between v1,v2,v3 coulomb_friction@machine#between v1,v3"),
     (STRUCTURE, "coulomb_friction@machine#slip between v2,v3 cubic_stiffness@machine#between v1,v2 quadratic_stiffness@machine#between v1,v2,v3"),

@@ -33,7 +33,16 @@ from afdsvc.plugins.physics.magnetic_force import pair, single
 from afdsvc.plugins.physics.parameter_follows_state import saturating
 from afdsvc.plugins.physics.quadratic_damping import _joint as turbulent_damper
 from afdsvc.plugins.physics.repulsion import _growing as growing
-from afdsvc.plugins.physics.saturation import ceiling, cut_above, cut_below, largest_error, overflow, relieved, two_limits
+from afdsvc.plugins.physics.saturation import (
+    ceiling,
+    cut_above,
+    cut_below,
+    largest_error,
+    overflow,
+    relieved,
+    relieved_both_ways,
+    two_limits,
+)
 from afdsvc.plugins.physics.self_heating import warming
 from afdsvc.plugins.physics.slew_limit import limited
 from afdsvc.plugins.physics.slow_mode import relaxing
@@ -236,6 +245,7 @@ CASES = [
     Case("leak between tanks", conducted, (0.7, 0.5), lambda x, u: [u - 0.8 * x[0] - 0.7 * (x[0] - x[1]), 0.5 * x[0] - 0.4 * x[1] + 0.35 * (x[0] - x[1])], **(TANK | {"reads": (("x", 0), ("x", 1))})),
     Case("valve between tanks", turbulent, (0.7, 0.5, 0.3), lambda x, u: [u - 0.8 * x[0] - (q := 0.7 * 0.3 * np.sign(x[0] - x[1]) * np.sqrt(abs(x[0] - x[1]) / 0.3)), 0.5 * x[0] - 0.4 * x[1] + 0.5 * q], **(TANK | {"reads": (("x", 0), ("x", 1))}), tolerance=1e-2),
     Case("relief valve", relieved, (1.4, 2.5), lambda x, u: [u - 0.8 * x[0] - 2.5 * max(x[0] - 1.4, 0), 0.5 * x[0] - 0.4 * x[1]], **(TANK | {"writes": (0,)})),
+    Case("relief valves both ways", relieved_both_ways, (0.4, 9.0), lambda x, u: [-D * x[0] + G * u - 9.0 * (x[0] - np.clip(x[0], -0.4, 0.4))], **SPEED, reads=(("x", 0),)),
     Case("Torricelli", outflow, (0.5, 2.0, 0.8, 0.625), tank(lambda x: 0.8 * np.sqrt(2.0 * x)), **TANK),
     Case("Torricelli about a level", outflow_about, (0.5, 2.0, 0.8, 0.625), tank(lambda x: 0.8 * 4 * (np.sqrt(1 + x / 2) - 1)), **TANK),
     Case("joint with a cubic spring", spring, (300.0, 3.0, -0.7, 1.0), lambda x, u: two(x, u, lambda d, v: 300 * d**3), **MODES, reads=(("x", 0), ("x", 2))),
