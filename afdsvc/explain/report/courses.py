@@ -53,22 +53,13 @@ def spectra(runs: Sequence[Run], courses: Sequence[RecordingCourse], outputs: Se
     """Return one `Spectrum` per output over the courses of these runs (Welch's method, Hann windows, half overlapped)."""
     dt = runs[0].dt
     n = min(SEGMENT, min(len(c.t) for c in courses))
-    parts = {
-        "measured": [c.measured - np.nanmean(c.measured, axis=0) for c in courses],
-        "before": [c.residual_before for c in courses],
-        "after": [c.residual_after for c in courses],
-    }
-    densities = {k: density(v, n, dt) for k, v in parts.items()}
-    quiet = aperiodic_part(runs, parts["after"])
+    after = [c.residual_after for c in courses]
+    pieces = [c.measured - np.nanmean(c.measured, axis=0) for c in courses], [c.residual_before for c in courses], after
+    quiet = aperiodic_part(runs, after)
     noise = density(quiet, min(n, min(len(q) for q in quiet)), dt, n) if quiet else None
+    m, b, a = (density(p, n, dt) for p in pieces)
     frequency: Array = np.asarray(np.fft.rfftfreq(n, dt), dtype=np.float64)
-    return tuple(
-        Spectrum(
-            name, frequency, densities["measured"][:, j], densities["before"][:, j], densities["after"][:, j],
-            None if noise is None else noise[:, j],
-        )
-        for j, name in enumerate(outputs)
-    )
+    return tuple(Spectrum(v, frequency, m[:, j], b[:, j], a[:, j], None if noise is None else noise[:, j]) for j, v in enumerate(outputs))
 
 
 def density(pieces: Sequence[Array], n: int, dt: float, padded: int | None = None) -> Array:

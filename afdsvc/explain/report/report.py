@@ -57,30 +57,15 @@ def report(
         lambda: _next(found, verdict) if experiment else None,
         lambda: rejections(found, claimed, lambda point: float(np.mean(play.nrmse(roles.heldout, point)))),
     ))
+    last, nominal = list(found.end)[-1], found.problem.nominal
+    fitted = (*_moved(nominal, final), *_loads(found.problem, final, last), *_offsets(found.problem, final, last))
     return Explanation(
-        verdict=verdict.verdict,
-        located=where,
-        named=named,
-        rejected=rejected,
-        fit=fits(held, outputs, floor),
-        heldout=roles.heldout_names,
-        whiteness_p=white(found.problem, held),
-        simulated=play.way,
-        explained=verdict.explained if claimed else (0.0, 0.0),
-        gap=verdict.gap,
-        remainder=verdict.remainder if claimed else None,
-        candidates=_nearest(found, verdict),
-        law=law,
-        check=tuple(f.sentence for f in findings),
-        sentences=(*verdict.sentences, *_moved(found.problem.nominal, final), *_loads(found.problem, final, list(found.end)[-1]), *_offsets(found.problem, final, list(found.end)[-1])),
-        next_experiment=next_experiment,
-        noise_floor=floor,
-        courses=(*courses(play, roles.train, "train", before, final.point), *held),
-        spectra=spectra(roles.heldout, held, outputs),
-        nominal=found.problem.nominal,
-        point=final.point,
-        substeps=found.problem.substeps,
-        notes=_notes(found, final),
+        verdict=verdict.verdict, located=where, named=named, rejected=rejected, candidates=_nearest(found, verdict), law=law,
+        fit=fits(held, outputs, floor), heldout=roles.heldout_names, whiteness_p=white(found.problem, held), simulated=play.way,
+        explained=verdict.explained if claimed else (0.0, 0.0), gap=verdict.gap, remainder=verdict.remainder if claimed else None,
+        check=tuple(f.sentence for f in findings), sentences=(*verdict.sentences, *fitted), next_experiment=next_experiment, noise_floor=floor,
+        courses=(*courses(play, roles.train, "train", before, final.point), *held), spectra=spectra(roles.heldout, held, outputs),
+        nominal=nominal, point=final.point, substeps=found.problem.substeps, notes=_notes(found, final),
     )
 
 

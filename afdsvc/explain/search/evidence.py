@@ -140,8 +140,6 @@ class HypothesisEvidence:
 
 
 Path = Mapping[float, Fit]
-
-
 Losses = tuple[Array, Array]
 
 

@@ -47,11 +47,6 @@ class Fit:
         return sum(len(e) for e in self.residuals)
 
     @property
-    def loss(self) -> float:
-        """Sum of squares of the weighted residuals, every output counting as it is."""
-        return float(sum((e**2).sum() for e in self.residuals))
-
-    @property
     def deviance(self) -> float:
         """Minus twice the log-likelihood of independent samples, up to a constant."""
         return float(2 * self.samples * np.log(self.sd).sum())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg as sla
@@ -17,17 +16,10 @@ SENSOR_NOISE = 1e-3  # rms of the sensor noise over the rms of the output
 REGULARISATION = (0.0, 1e-9, 1e-6, 1e-4, 1e-2)  # share by which the poles are drawn in, tried in turn
 
 
-class Scales(NamedTuple):
-    """Sizes of a recording: ``force_rms (n,)``, rms of the nominal rate of change of each state; ``output_rms (p,)``."""
-
-    force_rms: Array
-    output_rms: Array
-
-
-def correction_gain(nominal: Nominal, theta: Array, run_scales: Scales | tuple[Array, Array], rho: float) -> Array:
+def correction_gain(nominal: Nominal, theta: Array, sizes: tuple[Array, Array], rho: float) -> Array:
     """Return the gain ``Kp (n, p)`` of ``x+ = A x + B u + Kp (y - yhat)``; zeros for ``rho = 0``.
 
-    Unknown forces of rms ``rho`` times the nominal force, independent from sample to sample and held over one, act on the
+    ``sizes`` are the rms of the nominal rate of change of every state ``(n,)`` and of the outputs ``(p,)``. Unknown forces of rms ``rho`` times the nominal force, independent from sample to sample and held over one, act on the
     velocities (on all states of a plant without axes); the sensor noise is 0.1 % of the output. ``rho`` going to zero gives a
     simulation, a large one a one-step predictor. Where the Riccati equation has no solution (an integrator no output sees)
     the poles are drawn in a little; where nothing helps the gain is zero.
@@ -37,9 +29,9 @@ def correction_gain(nominal: Nominal, theta: Array, run_scales: Scales | tuple[A
         return np.zeros((n, p))
     plant = nominal.at(np.asarray(theta, dtype=np.float64))
     s = substep_matrices(plant, nominal.dt, 1, np.inf)
-    force = np.where(driven(nominal.model, n), np.asarray(run_scales[0], dtype=np.float64), 0.0) * rho
+    force = np.where(driven(nominal.model, n), np.asarray(sizes[0], dtype=np.float64), 0.0) * rho
     Q = (s.gx * force**2) @ s.gx.T
-    R = np.diag(np.maximum(SENSOR_NOISE * np.asarray(run_scales[1], dtype=np.float64), 1e-150) ** 2)
+    R = np.diag(np.maximum(SENSOR_NOISE * np.asarray(sizes[1], dtype=np.float64), 1e-150) ** 2)
     for drawn in REGULARISATION:
         gain = _steady(s.phi, plant.C, Q + drawn * np.diag(np.diag(Q)), R, drawn)
         if gain is not None:
