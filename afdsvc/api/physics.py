@@ -45,6 +45,9 @@ class Signal:
     ahead: int = 0
 
 
+LONG_AGO = -1e300  # s: a moment before all recordings
+
+
 @dataclass(frozen=True, slots=True)
 class Coefficient:
     """A parameter of a law: name, unit, range, and how it enters. With ``low == high`` it is a constant of the law.
@@ -56,7 +59,7 @@ class Coefficient:
     hypothesis is not compared. ``through = (state, input)`` says that the value is stated divided by that entry of B, in the ``unit`` given: a force
     where the law works with the acceleration it causes. ``unsigned`` divides by the size of the entry: what opposes the motion is positive
     although the input acts against the axis. ``later`` is the value with which the improved model has it, where that is not the fitted one: of a
-    change at a moment, one that has come.
+    change at a moment, one that has come (`LONG_AGO`); recordings held out may show it at another moment.
     """
 
     name: str
@@ -204,7 +207,7 @@ class Machine:
     residual repeats best along positions (of kind "x") and along readings of them ("y"). Of ``code`` the plant is the linearisation, and ``parameters``
     are its numbers that are not known exactly, ``mean`` their values and ``rms`` the standard deviations stated. ``driven`` says whether an input goes on
     changing in the second half of a recording: where none does, time and amplitude are one. ``span`` is the time [s] at which the first recording begins
-    and at which the last one ends, on the clock that laws read; None: from zero on, ``duration`` long.
+    and at which the last one ends, on the clock that laws read; None: from zero on, ``duration`` long. ``recordings`` is their number.
     """
 
     inputs: tuple[Size, ...]
@@ -226,6 +229,7 @@ class Machine:
     parameters: tuple[Size, ...] = ()
     driven: bool = True
     span: tuple[float, float] | None = None
+    recordings: int = 1
 
 
 class Physics(Protocol):

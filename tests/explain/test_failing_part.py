@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from afdsvc.files.model.model_file import read_model
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import BUILT_IN
 
-DT, DECAY, GAIN, LOSS = 0.01, 4.0, 20.0, -0.3
+DT, DECAY, GAIN, LOSS, NOISE = 0.01, 4.0, 20.0, -0.3, 0.3
 SOME = ("parameter_step", "parameter_drift", "parameter_change", "supply_droop", "clock_offset", "actuator_lag")
 MOTOR = Model(
     "motor", (Variable("voltage", "V"),), (Variable("speed", "rad/s"),), (Variable("speed", "rad/s"),), StateSpace.of([[-DECAY]], [[GAIN]], [[1.0]]),
@@ -32,7 +33,7 @@ def recording(seed: int, samples: int, fails: float, begins: float = 0.0) -> Tra
     for now, volts in zip(t, u, strict=True):
         speed.append(x)
         x = keep * x + (1 - keep) * GAIN / DECAY * volts * (1 + (LOSS if now >= fails else 0.0))
-    y = np.array(speed) + 0.3 * rng.standard_normal(samples)
+    y = np.array(speed) + NOISE * rng.standard_normal(samples)
     return Trace(f"r{seed}", DT, (Channel("u_voltage", "V"), Channel("y_speed", "rad/s")), np.column_stack([u, y]), t0=begins)
 
 
@@ -46,7 +47,12 @@ def between() -> tuple[list[Trace], Trace]:
     return [recording(k, 1500, np.inf if k < 3 else 0.0) for k in range(12)], recording(20, 1500, 0.0)
 
 
-@pytest.mark.parametrize(("recorded", "first", "last"), [(within, 11.0, 13.0), (between, 41.0, 49.0)])
+def undone() -> tuple[list[Trace], Trace]:
+    """It fails within the first of two recordings, or of none that says which came first, and once more in the one held out."""
+    return [recording(1, 3000, 12.0), recording(3, 1500, np.inf)], recording(2, 1500, 7.0)
+
+
+@pytest.mark.parametrize(("recorded", "first", "last"), [(within, 11.0, 13.0), (between, 41.0, 49.0), (undone, 11.0, 13.0)])
 def test_a_gain_that_falls_at_one_moment_is_named_and_modelled_as_it_is_then(recorded, first, last, tmp_path: Path):
     given, held = recorded()
     found = explain(MOTOR, given, [held], [p() for p in BUILT_IN if p.name in SOME], experiment=False)
@@ -54,6 +60,8 @@ def test_a_gain_that_falls_at_one_moment_is_named_and_modelled_as_it_is_then(rec
     for named in found.named:
         assert next(iter(named.parameters.values())).value == pytest.approx(LOSS, abs=0.03)
         assert first < named.parameters["moment"].value < last
+    assert found.fit[0].after_nrmse == pytest.approx(NOISE / held.values[:, 1].std(), rel=0.05)
+    assert any(re.search(f"the change comes at .* s of {'r[23]' if recorded is between else 'r1'};", s) for s in found.sentences)
     (written,) = write_improved(found, tmp_path / "MODEL.toml", {})
     plant = read_model(written).plant
     assert -(plant.C @ plant.B / plant.A).item() == pytest.approx((1 + LOSS) * GAIN / DECAY, rel=0.05)

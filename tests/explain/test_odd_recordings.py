@@ -15,8 +15,7 @@ from afdsvc.errors import BadInput
 from afdsvc.explain.check.response import refuse_still
 from afdsvc.explain.pipeline import explain
 from afdsvc.explain.simulate.nominal import nominal
-from afdsvc.explain.simulate.steps import continuous
-from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.sampling import continuous, sample_zoh
 from afdsvc.lti.simulate import simulate
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import afdsvc_physics

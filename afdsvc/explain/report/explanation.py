@@ -197,28 +197,16 @@ class Explanation:
     def json(self, model_path: str | None, report_path: str | None) -> dict[str, Any]:
         """Return the document of `explain --json`; the paths are those of the improved MODEL.toml and of the report."""
         table: dict[str, Any] = plain({
-            "verdict": self.verdict,
-            "gap": _gap(self.gap),
-            "located": [asdict(p) for p in self.located],
-            "named": [asdict(n) for n in self.named],
-            "candidates": [asdict(c) for c in self.candidates],
-            "rejected": [asdict(r) for r in self.rejected],
+            "verdict": self.verdict, "gap": _gap(self.gap), "located": [asdict(p) for p in self.located],
+            "named": [asdict(n) for n in self.named], "candidates": [asdict(c) for c in self.candidates], "rejected": [asdict(r) for r in self.rejected],
             "law": asdict(self.law) if self.law else None,
             "fit": {
-                "per_output": {f.output: f.json() for f in self.fit},
-                "heldout": self.heldout,
+                "per_output": {f.output: f.json() for f in self.fit}, "heldout": self.heldout,
                 "whiteness_p": dict(zip(("before", "after"), self.whiteness_p, strict=True)),
             },
-            "model": model_path,
-            "report": report_path,
-            "explained": {"fraction": self.explained[0], "sd": self.explained[1]},
-            "sentences": self.sentences,
-            "check": self.check,
-            "next_experiment": self.next_experiment,
-            "remainder": self._remainder(),
-            "noise_floor": self.noise_floor,
-            "simulated": self.simulated,
-            "notes": self.notes,
+            "model": model_path, "report": report_path, "explained": {"fraction": self.explained[0], "sd": self.explained[1]},
+            "sentences": self.sentences, "check": self.check, "next_experiment": self.next_experiment, "remainder": self._remainder(),
+            "noise_floor": self.noise_floor, "simulated": self.simulated, "notes": self.notes,
         })
         return table
 

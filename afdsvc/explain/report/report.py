@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc.api.physics import Physics
+from afdsvc.api.physics import LONG_AGO, Physics
 from afdsvc.dataset.sample_checks import Finding
 from afdsvc.dataset.split import Split
 from afdsvc.explain.check.check import insufficient_excitation, one_frequency
@@ -58,7 +58,7 @@ def report(
         lambda: rejections(found, claimed, lambda point: float(np.mean(play.nrmse(roles.heldout, point)))),
     ))
     last, nominal = list(found.end)[-1], found.problem.nominal
-    fitted = (*_moved(nominal, final), *_loads(found.problem, final, last), *_offsets(found.problem, final, last))
+    fitted = (*_moments(found.problem, final), *_moved(nominal, final), *_loads(found.problem, final, last), *_offsets(found.problem, final, last))
     return Explanation(
         verdict=verdict.verdict, located=where, named=named, rejected=rejected, candidates=_nearest(found, verdict), law=law,
         fit=fits(held, outputs, floor), heldout=roles.heldout_names, whiteness_p=white(found.problem, held), simulated=play.way,
@@ -85,6 +85,14 @@ def _excited(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
     if not poor or verdict.claims:
         return verdict
     return replace(verdict, verdict="insufficient_excitation", sentences=(poor, *verdict.sentences))
+
+
+def _moments(problem: Problem, final: Fit) -> Iterator[str]:
+    """Yield a sentence on every change at a moment: in which recording it comes, and when there."""
+    for effect in final.point.effects:
+        for value in (v for v, c in zip(effect.values, effect.hypothesis.parameters, strict=True) if c.later == LONG_AGO):
+            there = next((f"at {r.t0 + value - r.begins:.4g} s of {r.name}" for r in problem.runs if r.begins <= value < r.begins + len(r) * r.dt), "between two recordings")
+            yield f"{effect.hypothesis.title}: the change comes {there}; recordings held out are compared with the moment that fits each of them best"
 
 
 def _moved(nominal: Nominal, final: Fit) -> Iterator[str]:

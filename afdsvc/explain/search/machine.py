@@ -19,7 +19,7 @@ from afdsvc.explain.search.fit import Fit
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import is_constant
 from afdsvc.explain.simulate.nominal import PARAMETER, Nominal
-from afdsvc.explain.simulate.steps import continuous
+from afdsvc.lti.sampling import continuous
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.stats.waves import wave_numbers
 
@@ -63,7 +63,7 @@ def machine(problem: Problem, base: Fit, horizon: float, tones: Sequence[float] 
         dict(zip(runs[0].aux, _sizes([Variable(a) for a in runs[0].aux], aux), strict=True)), runs[0].dt, sum(len(r) for r in runs) * runs[0].dt,
         bandwidth(runs), smooth, np.sqrt((e**2).mean(0)), tuple(tones), tuple(peaks), "noise" if limited == "noise" else "model",
         _deflections(axes, smooth, x), {signal: wave_numbers(way, residuals) for signal, way in ways.items()}, problem.nominal.python, _parameters(problem.nominal),
-        any((r.U[len(r) // 2 :].std(0) > SIDE * r.U.std(0)).any() for r in runs), (runs[0].begins, runs[-1].begins + len(runs[-1]) * runs[-1].dt),
+        any((r.U[len(r) // 2 :].std(0) > SIDE * r.U.std(0)).any() for r in runs), (runs[0].begins, runs[-1].begins + len(runs[-1]) * runs[-1].dt), len(runs),
     )
 
 

@@ -18,7 +18,8 @@ from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.units import is_acceleration
 from afdsvc.errors import BadInput
 from afdsvc.explain.simulate.dynamics import Program, linearised, program
-from afdsvc.explain.simulate.steps import Steps, continuous, substep_matrices
+from afdsvc.explain.simulate.steps import Steps, substep_matrices
+from afdsvc.lti.sampling import continuous
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.lti.transfer_function import output_states
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import NDArray
 
+from afdsvc.lti.sampling import continuous
 from afdsvc.lti.statespace import Array, StateSpace
 
 STEP_ANGLE = 0.5  # largest angle [rad] the fastest pole of a linear plant may turn in one sub-step
 MOST_SUBSTEPS = 20
-CONDITION = 1e6  # of eigenvectors, below which a logarithm by them keeps ten digits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,34 +39,6 @@ def substep_matrices(
         return _discrete_steps(plant)
     fastest = float(np.abs(plant.poles()).max(initial=0.0))
     return _continuous_steps(plant, dt, int(np.clip(np.ceil(fastest * dt / angle), least, max(most, least))), degree)
-
-
-def continuous(plant: StateSpace) -> StateSpace | None:
-    """Return the continuous plant whose zero-order hold this discrete one is; None when there is none that is real."""
-    n, m = plant.B.shape
-    if n == 0:
-        return StateSpace.gain(plant.D)
-    poles = plant.poles()
-    if (np.abs(poles) < 1e-9).any() or ((poles.real < 0) & (np.abs(poles.imag) < 1e-9)).any():
-        return None
-    big = np.block([[plant.A, plant.B], [np.zeros((m, n)), np.eye(m)]])
-    log = _logarithm(big)
-    if not np.isfinite(log).all() or np.abs(np.imag(log)).max() > 1e-6 * np.abs(log).max():
-        return None
-    if np.abs(sla.expm(np.real(log)) - big).max() > 1e-6 * np.abs(big).max():
-        return None
-    rate = np.real(log) / plant.dt
-    return StateSpace(rate[:n, :n], rate[:n, n:], plant.C, plant.D)
-
-
-def _logarithm(matrix: Array) -> Array:
-    """Return the principal logarithm, by the eigenvectors where they are well conditioned (fifty times faster than `scipy`)."""
-    values, vectors = np.linalg.eig(matrix)
-    if np.linalg.cond(vectors) < CONDITION:
-        return np.asarray((vectors * np.log(values.astype(complex))) @ np.linalg.inv(vectors))
-    with warnings.catch_warnings():  # its estimate of the error is a few roundings; the caller checks the result
-        warnings.simplefilter("ignore")
-        return np.asarray(sla.logm(matrix))
 
 
 def _continuous_steps(plant: StateSpace, dt: float, nsub: int, degree: int = 0) -> Steps:

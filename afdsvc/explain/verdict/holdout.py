@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import f as f_distribution
 from scipy.stats import ttest_1samp
 
+from afdsvc.api.physics import LONG_AGO
 from afdsvc.dataset.experiment import Run
 from afdsvc.explain.noise.weighting import correlation_time
 from afdsvc.explain.search.build import initial
@@ -17,6 +18,7 @@ from afdsvc.explain.search.fit import Coordinates, Fit, fit, rms
 from afdsvc.explain.search.forward import Found
 from afdsvc.explain.search.problem import NUISANCE, Point, Problem, loop_known
 from afdsvc.explain.search.ranking import is_constant, is_offset
+from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.verdict.verdict import DOUBT, Verdict
 from afdsvc.lti.statespace import Array
 
@@ -175,6 +177,7 @@ def nrmse(measured: Array, simulated: Array) -> Array:
 
 
 PASSES = 4
+MOMENTS, CLOSER = 24, 3  # of a recording, at which a change is tried, and how often the time around the best is searched more closely
 
 
 def on(problem: Problem, runs: Sequence[Run]) -> Problem:
@@ -207,8 +210,32 @@ def _begun(problem: Problem, point: Point, horizon: float) -> Point:
 
     A state that makes up for what the model lacks is a local minimum beside a law that is right.
     """
+    point = _timed(problem, point, horizon)
     found = [_begun_near(problem, p, horizon) for p in (point, replace(point, x0=problem.resting()))]
     return min(found, key=lambda pair: pair[1])[0]
+
+
+def _timed(problem: Problem, point: Point, horizon: float) -> Point:
+    """Return the point with every change that comes at a moment at the one at which the only run shows it, or before or after the run: no other recording says when."""
+    run, width = problem.runs[0], len(problem.runs[0]) * problem.runs[0].dt / 2
+    for i, effect in enumerate(point.effects):
+        at = next((j for j, c in enumerate(effect.hypothesis.parameters) if c.later == LONG_AGO), None)
+        if at is None:
+            continue
+
+        def moved(moment: float, i: int = i, effect: PlacedEffect = effect, at: int = at, point: Point = point) -> Point:
+            values = np.array([moment if j == at else v for j, v in enumerate(effect.values)])
+            return replace(point, effects=(*point.effects[:i], replace(effect, values=values), *point.effects[i + 1 :]))
+
+        def missed(moment: float, moved: Callable[[float], Point] = moved) -> float:
+            return float(np.linalg.norm(problem.residuals(moved(moment), horizon)[0]))
+
+        middle, span = run.begins + width, width
+        for _ in range(CLOSER):
+            middle = min(middle + span * np.linspace(-1, 1, MOMENTS + 1), key=missed)
+            span *= 2 / MOMENTS
+        point = moved(min((LONG_AGO, run.begins + 4 * width, float(middle)), key=missed))
+    return point
 
 
 def _begun_near(problem: Problem, point: Point, horizon: float) -> tuple[Point, float]:
@@ -217,7 +244,8 @@ def _begun_near(problem: Problem, point: Point, horizon: float) -> tuple[Point, 
     q, local = c.pack(point), slice(c.shared, c.size)
 
     def moved(x: Array) -> Point:
-        return c.unpack(np.concatenate([q[: c.shared], x]))
+        there = c.unpack(np.concatenate([q[: c.shared], x]))
+        return replace(there, effects=tuple(replace(e, begun=f.begun) for e, f in zip(point.effects, there.effects, strict=True)))
 
     def residual(x: Array) -> Array:
         return problem.residuals(moved(x), horizon)[0].ravel()

@@ -18,10 +18,9 @@ import numpy as np
 
 from afdsvc.api.model import Dynamics, SteppedPlant
 from afdsvc.errors import BadInput
-from afdsvc.explain.simulate.steps import continuous
 from afdsvc.files.allowed_code import allowed, sha256_of
 from afdsvc.files.model.schema import Inline, ModelTable, PerturbationTable, toml_text
-from afdsvc.lti.sampling import sample_zoh
+from afdsvc.lti.sampling import continuous, sample_zoh
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.plants.stepped.fmi_unit import FmiUnit, describe
 from afdsvc.plants.stepped.function_plant import FunctionPlant

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-from afdsvc.api.physics import Coefficient, Hypothesis, Machine, Signal
+from afdsvc.api.physics import LONG_AGO, Coefficient, Hypothesis, Machine, Signal
 from afdsvc.plugins.physics.attach import constant
 from afdsvc.plugins.physics.parameter_change import ParameterChange, inertia
 
@@ -19,8 +19,16 @@ FIXED = 3  # constants of the model come after the change, its moment and how lo
 
 
 def stepping(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """Terms ``1 + p[0]`` times as large after the moment ``p[1]``; the change takes ``p[2]`` seconds. ``p[3:]`` are coefficients, time comes last in ``z``."""
+    """Terms ``1 + p[0]`` times as large after the moment ``p[1]``; the change takes ``p[2]`` seconds. ``p[3:]`` are coefficients, time comes last in ``z``.
+
+    With a memory, of the time at which the recording began, it is undone where the next recording begins.
+    """
     share = min(max((z[-1] - p[1]) / p[2] + 0.5, 0.0), 1.0)
+    if len(m):
+        if m[1] == 0.0:
+            m[0], m[1] = z[-1], 1.0
+        if -1e299 < p[1] < m[0]:
+            share = 0.0
     total = 0.0
     for k in range(len(z) - 1):
         total += p[3 + k] * z[k]
@@ -30,6 +38,11 @@ def stepping(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 def stepping_inertia(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """A mass ``1 + p[0]`` times as large after the moment ``p[1]``: every acceleration divided by that, otherwise as in ``stepping``."""
     share = min(max((z[-1] - p[1]) / p[2] + 0.5, 0.0), 1.0)
+    if len(m):
+        if m[1] == 0.0:
+            m[0], m[1] = z[-1], 1.0
+        if -1e299 < p[1] < m[0]:
+            share = 0.0
     change = p[0] * share * share * (3 - 2 * share)
     total = 0.0
     for k in range(len(z) - 1):
@@ -40,6 +53,8 @@ def stepping_inertia(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 class ParameterStep:
     """Gain of every input and output; of code every parameter that is not known exactly, of matrices stiffness, damping and mass of every axis.
 
+    Where there are several recordings, also undone before the next one: a part that was repaired, or recordings in another order.
+
     The improved model has the number as it is after the change.
     """
 
@@ -47,10 +62,13 @@ class ParameterStep:
     summary = "a number of the model that changes at one moment and keeps its new value"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per number and place."""
+        """Return one or two hypotheses per number and place."""
         for h in ParameterChange().over_time(machine):
-            law = stepping_inertia if h.law is inertia else stepping
-            yield replace(h, law=law, reads=(*h.reads, TIME), linear=_after(h), **self._course(machine, h))
+            law, variant = stepping_inertia if h.law is inertia else stepping, h.notes["variant"]
+            step = replace(h, law=law, reads=(*h.reads, TIME), linear=_after(h), **self._course(machine, h))
+            yield step
+            if machine.recordings > 1:
+                yield replace(step, memory=2, notes={**h.notes, "variant": f"{variant}, in one recording", "of": h.notes.get("of", variant)})
 
     def _course(self, machine: Machine, h: Hypothesis) -> dict[str, Any]:
         begin, end = machine.span or (0.0, machine.duration)
@@ -60,7 +78,7 @@ class ParameterStep:
             "physics": self.name, "family": "drift",
             "parameters": (
                 replace(change, low=max(change.low, LEAST), high=MOST),
-                Coefficient("moment", "s", begin + SIDES * whole, end - SIDES * whole, 0.1 * whole, later=-1e300),
+                Coefficient("moment", "s", begin + SIDES * whole, end - SIDES * whole, 0.1 * whole, later=LONG_AGO),
                 Coefficient("time it takes", "s", machine.dt, LONGEST * whole, 0.1 * whole, nuisance=True, decisive=True), *constants,
             ),
             "starts": tuple((0.0, begin + share * whole, FIRST * whole, *(c.low for c in constants)) for share in MOMENTS),

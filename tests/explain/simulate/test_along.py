@@ -14,7 +14,7 @@ from afdsvc.api.model import Variable
 from afdsvc.api.physics import Signal
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.simulate.simulator import Simulator
-from afdsvc.explain.simulate.steps import continuous
+from afdsvc.lti.sampling import continuous
 from afdsvc.lti.statespace import StateSpace
 
 DT = 0.01
