@@ -24,7 +24,7 @@ def stepping(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     With a memory, of the time at which the recording began, it is undone where the next recording begins.
     """
     share = min(max((z[-1] - p[1]) / p[2] + 0.5, 0.0), 1.0)
-    if len(m):
+    if len(m) > 1:
         if m[1] == 0.0:
             m[0], m[1] = z[-1], 1.0
         if -1e299 < p[1] < m[0]:
@@ -38,7 +38,7 @@ def stepping(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 def stepping_inertia(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """A mass ``1 + p[0]`` times as large after the moment ``p[1]``: every acceleration divided by that, otherwise as in ``stepping``."""
     share = min(max((z[-1] - p[1]) / p[2] + 0.5, 0.0), 1.0)
-    if len(m):
+    if len(m) > 1:
         if m[1] == 0.0:
             m[0], m[1] = z[-1], 1.0
         if -1e299 < p[1] < m[0]:
