@@ -17,22 +17,23 @@ from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics import BUILT_IN
 
 DT, DECAY, GAIN, LOSS, NOISE = 0.01, 4.0, 20.0, -0.3, 0.3
-SOME = ("parameter_step", "parameter_drift", "parameter_change", "supply_droop", "clock_offset", "actuator_lag")
+SOME = ("offset_step", "parameter_step", "parameter_drift", "parameter_change", "supply_droop", "clock_offset", "actuator_lag")
 MOTOR = Model(
     "motor", (Variable("voltage", "V"),), (Variable("speed", "rad/s"),), (Variable("speed", "rad/s"),), StateSpace.of([[-DECAY]], [[GAIN]], [[1.0]]),
     entry_sd={"A": np.array([[0.2]]), "B": np.array([[1.0]])},
 )
 
 
-def recording(seed: int, samples: int, fails: float, begins: float = 0.0) -> Trace:
-    """A motor whose gain falls at the time ``fails``, exactly for a held voltage that fades in; recordings begin at their time ``begins``."""
+def recording(seed: int, samples: int, fails: float, begins: float = 0.0, loss: float = LOSS, load: float = 0.0, bias: float = 0.0) -> Trace:
+    """A motor whose gain falls at the time ``fails``, or that is loaded [V] or read with a bias from then on, exactly for a held voltage that fades in;
+    recordings begin at their time ``begins``."""
     rng = np.random.default_rng(seed)
     t = begins + DT * np.arange(samples)
     u = np.repeat(rng.normal(size=samples // 10 + 1), 10)[:samples] * np.minimum(1, np.arange(samples) / (samples / 4))
     keep, speed, x = np.exp(-DECAY * DT), [], 0.0
     for now, volts in zip(t, u, strict=True):
-        speed.append(x)
-        x = keep * x + (1 - keep) * GAIN / DECAY * volts * (1 + (LOSS if now >= fails else 0.0))
+        speed.append(x + (bias if now >= fails else 0.0))
+        x = keep * x + (1 - keep) * GAIN / DECAY * (volts + (loss * volts + load if now >= fails else 0.0))
     y = np.array(speed) + NOISE * rng.standard_normal(samples)
     return Trace(f"r{seed}", DT, (Channel("u_voltage", "V"), Channel("y_speed", "rad/s")), np.column_stack([u, y]), t0=begins)
 
@@ -65,3 +66,14 @@ def test_a_gain_that_falls_at_one_moment_is_named_and_modelled_as_it_is_then(rec
     (written,) = write_improved(found, tmp_path / "MODEL.toml", {})
     plant = read_model(written).plant
     assert -(plant.C @ plant.B / plant.A).item() == pytest.approx((1 + LOSS) * GAIN / DECAY, rel=0.05)
+
+
+@pytest.mark.parametrize(("event", "site"), [({"load": 0.4}, "state:speed"), ({"bias": 1.5}, "output:speed")])
+def test_a_load_and_a_bias_that_begin_at_one_moment_are_distinguished(event, site):
+    given, held = [recording(1, 3000, 12.0, loss=0.0, **event), recording(3, 1500, np.inf)], recording(2, 1500, 7.0, loss=0.0, **event)
+    found = explain(MOTOR, given, [held], [p() for p in BUILT_IN if p.name in SOME], experiment=False)
+    first = found.named[0]
+    assert (first.physics, first.site) == ("offset_step", site)
+    assert next(iter(first.parameters.values())).value == pytest.approx(next(iter(event.values())), rel=0.05)
+    assert 11.5 < first.parameters["moment"].value < 12.5
+    assert found.fit[0].after_nrmse == pytest.approx(NOISE / held.values[:, 1].std(), rel=0.05)

@@ -35,6 +35,7 @@ from afdsvc.plugins.physics.hysteresis import Hysteresis
 from afdsvc.plugins.physics.inertia_follows_position import InertiaFollowsPosition
 from afdsvc.plugins.physics.linear_stiffness import LinearStiffness
 from afdsvc.plugins.physics.magnetic_force import MagneticForce
+from afdsvc.plugins.physics.offset_step import OffsetStep
 from afdsvc.plugins.physics.parameter_change import ParameterChange
 from afdsvc.plugins.physics.parameter_drift import ParameterDrift
 from afdsvc.plugins.physics.parameter_follows_state import ParameterFollowsState
@@ -74,7 +75,7 @@ BUILT_IN = (
     ActuatorCrosstalk, ActuatorLag, AsymmetricDamping, BackEmf, Backlash, Clearance, ClockOffset, Cogging, ColouredNoise, ConstantLoad,
     CoulombFriction, Creep, CrossCoupledStiffness, CubicDamping, CubicStiffness, DeadZone, Eccentricity, EncoderError, Exchange, FlexibleMode,
     GainFollowsAux, GainFollowsLevel, GainFollowsPosition, Gravity, GyroscopicCoupling, Hysteresis, InertiaFollowsPosition, LinearStiffness, MagneticForce,
-    ParameterChange, ParameterDrift, ParameterFollowsState, ParameterStep, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
+    OffsetStep, ParameterChange, ParameterDrift, ParameterFollowsState, ParameterStep, PeriodicDisturbance, QuadraticDamping, QuadraticStiffness, Quantisation,
     Relaxation, Repulsion, ResonantActuator, Runout, Saturation, SelfHeating, SensorAcCoupling, SensorCrosstalk, SensorDrift, SensorLag, SensorMisalignment,
     SensorNonlinearity, SensorOffset, SensorRectification, SensorSaturation, SlewLimit, SlowMode,
     StaticNonlinearity, StiffnessFollowsAux, StribeckFriction, SupplyDroop, TransportDelay, Unbalance, VelocityCoupling, ViscousDamping, VoltageDrop,

@@ -71,20 +71,24 @@ class ParameterStep:
                 yield replace(step, memory=2, notes={**h.notes, "variant": f"{variant}, in one recording", "of": h.notes.get("of", variant)})
 
     def _course(self, machine: Machine, h: Hypothesis) -> dict[str, Any]:
-        begin, end = machine.span or (0.0, machine.duration)
-        whole, change = end - begin, h.parameters[0]
-        constants = h.parameters[1:] or (constant("nominal", "", 1.0),)
+        numbers, starts = coming(machine)
+        change, constants = h.parameters[0], h.parameters[1:] or (constant("nominal", "", 1.0),)
         return {
             "physics": self.name, "family": "drift",
-            "parameters": (
-                replace(change, low=max(change.low, LEAST), high=MOST),
-                Coefficient("moment", "s", begin + SIDES * whole, end - SIDES * whole, 0.1 * whole, later=LONG_AGO),
-                Coefficient("time it takes", "s", machine.dt, LONGEST * whole, 0.1 * whole, nuisance=True, decisive=True), *constants,
-            ),
-            "starts": tuple((0.0, begin + share * whole, FIRST * whole, *(c.low for c in constants)) for share in MOMENTS),
+            "parameters": (replace(change, low=max(change.low, LEAST), high=MOST), *numbers, *constants),
+            "starts": tuple((0.0, *start, *(c.low for c in constants)) for start in starts),
             "predicts": "a residual that begins at one moment, in proportion to the part of the model that this number governs",
             "refuted_by": "a residual that is the same at the beginning and at the end",
         }
+
+
+def coming(machine: Machine) -> tuple[tuple[Coefficient, Coefficient], list[tuple[float, float]]]:
+    """Return the moment at which a change comes and the time that it takes, and where fits begin."""
+    begin, end = machine.span or (0.0, machine.duration)
+    whole = end - begin
+    moment = Coefficient("moment", "s", begin + SIDES * whole, end - SIDES * whole, 0.1 * whole, later=LONG_AGO)
+    takes = Coefficient("time it takes", "s", machine.dt, LONGEST * whole, 0.1 * whole, nuisance=True, decisive=True)
+    return (moment, takes), [(begin + share * whole, FIRST * whole) for share in MOMENTS]
 
 
 def _after(h: Hypothesis) -> Any:

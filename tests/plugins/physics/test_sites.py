@@ -58,6 +58,8 @@ def offered(machine: Machine) -> dict:
     (ARM, "parameter_drift@state:w#mass parameter_drift@state:w#damping parameter_drift@input:torque#actuator gain parameter_drift@output:q#sensor gain"),
     (TANKS, "parameter_drift@state:h1#loss parameter_drift@state:h2#capacity"),
     (ARM, "parameter_step@state:w#mass parameter_step@state:w#damping parameter_step@input:torque#actuator gain parameter_step@output:q#sensor gain"),
+    (ARM, "offset_step@state:w offset_step@output:q"),
+    (TANKS, "offset_step@input:pump offset_step@output:h2"),
     (REACTOR, "parameter_step@parameter:volume#volume parameter_step@parameter:rate#rate parameter_step@input:jacket#actuator gain"),
     (REACTOR, "parameter_drift@parameter:volume#volume parameter_drift@parameter:rate#rate parameter_drift@input:jacket#actuator gain"),
     (MOTOR, "sensor_ac_coupling@output:w transport_delay@output:w#mean over a window transport_delay@input:voltage#mean over a window"),
