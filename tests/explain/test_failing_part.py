@@ -62,7 +62,8 @@ def test_a_gain_that_falls_at_one_moment_is_named_and_modelled_as_it_is_then(rec
         assert next(iter(named.parameters.values())).value == pytest.approx(LOSS, abs=0.03)
         assert first < named.parameters["moment"].value < last
     assert found.fit[0].after_nrmse == pytest.approx(NOISE / held.values[:, 1].std(), rel=0.05)
-    assert any(re.search(f"the change comes at .* s of {'r[23]' if recorded is between else 'r1'};", s) for s in found.sentences)
+    (at,) = {float(m[1]) for s in found.sentences if (m := re.search(f"the change comes at (.*) s of {'r[23]' if recorded is between else 'r1'};", s))}
+    assert at <= 15.0
     (written,) = write_improved(found, tmp_path / "MODEL.toml", {})
     plant = read_model(written).plant
     assert -(plant.C @ plant.B / plant.A).item() == pytest.approx((1 + LOSS) * GAIN / DECAY, rel=0.05)

@@ -38,16 +38,12 @@ def settled(problem: Problem, choose: bool = True) -> Settled:
     s = problem.settings
     part, path = _interpolated(problem.beginning(), choose)
     problem = replace(problem, ramped=part.ramped) if part is not problem else part
-    for _ in range(2):
-        taus = {h: f.own_tau for h, f in path.items()}
-        path = base_path(part, s.horizons, taus, part.start(), path)
-        path = {h: path[h] for h in _horizons(part, path)}
-        start = whole_path(problem, taus, path)
-        last, beginnings = list(path)[-1], part
-        part = _shown(problem, part, start[last], last)
-        if part is beginnings:
-            break
-        path = base_path(part, s.horizons, dict.fromkeys(s.horizons, 1.0), part.start())
+    taus = {h: f.own_tau for h, f in path.items()}
+    path = base_path(part, s.horizons, taus, part.start(), path)
+    path = {h: path[h] for h in _horizons(part, path)}
+    start = whole_path(problem, taus, path)
+    last = list(path)[-1]
+    part = _shown(problem, part, start[last], last)
     w = weighting(problem.runs, problem.residuals(start[last].point, last))
     limited = "model"
     white = correlation_time([w(e) for e in problem.residuals(start[last].point, last)]) * s.independent < start[last].samples
@@ -68,16 +64,25 @@ def settled(problem: Problem, choose: bool = True) -> Settled:
 def _shown(problem: Problem, part: Problem, f: Fit, horizon: float) -> Problem:
     """Return the part of the recordings that hypotheses are chosen on: the beginnings, or where they hold less than `Settings.shown` of their share
     of the motion, or of what the fit to whole recordings misses, the stretches of the same lengths that hold most of both."""
-    simulated, lengths = problem.simulated(f.point, horizon), [len(r) for r in part.runs]
+    simulated = problem.simulated(f.point, horizon)
     spread = np.maximum(np.vstack([s.y for s in simulated]).std(0), 1e-300)
-    held = [np.stack([((e / f.sd) ** 2).sum(1), (((s.y - s.y.mean(0)) / spread) ** 2).sum(1)], axis=1) for e, s in zip(f.residuals, simulated, strict=True)]
-    sums = [np.vstack([np.zeros(2), np.cumsum(h, axis=0)]) for h in held]
-    seen, whole = sum(c[n] for c, n in zip(sums, lengths, strict=True)), sum(c[-1] for c in sums)
-    if (seen * f.samples >= problem.settings.shown * whole * sum(lengths)).all():
+    held, whole = [], np.full(2, 1e-300)
+    for r, e, s in zip(part.runs, f.residuals, simulated, strict=True):
+        both = [e / f.sd, s.y / spread]
+        held.append(np.stack([_powers(x, len(r)) for x in both]))
+        whole += [float(_powers(x, len(x))[0]) for x in both]
+    if (sum(h[:, 0] for h in held) * f.samples >= problem.settings.shown * whole * sum(len(r) for r in part.runs)).all():
         return part
-    begins = [int(np.argmax(((c[n:] - c[: len(c) - n]) / whole).sum(1))) for c, n in zip(sums, lengths, strict=True)]
-    stretches = [(r.span(k, k + n), s.x[k]) for r, s, k, n in zip(problem.runs, simulated, begins, lengths, strict=True)]
+    begins = [int(np.argmax(h.T @ (1 / whole))) for h in held]
+    stretches = [(r.span(k, k + len(p)), s.x[k]) for r, p, s, k in zip(problem.runs, part.runs, simulated, begins, strict=True)]
     return problem.of(*zip(*stretches, strict=True))
+
+
+def _powers(x: Array, n: int) -> Array:
+    """Return the sum of squares about the mean of every stretch of ``n`` samples, all outputs together; ``x (samples, p)``."""
+    first, second = (np.vstack([np.zeros(x.shape[1]), np.cumsum(v, axis=0)]) for v in (x - x.mean(0), (x - x.mean(0)) ** 2))
+    sums, squares = (c[n:] - c[: len(c) - n] for c in (first, second))
+    return np.asarray((squares - sums**2 / n).sum(1))
 
 
 def under_slow_noise(settled: Settled, noise: Array) -> Settled:

@@ -307,7 +307,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
     ``values`` are the parameters of Python code, left as effects changed them last. Open: ``U (n, m)`` is the measured input. Closed: ``u = K (yhat - R) + U`` with ``U`` what was added to the controller's
     output. ``laws`` holds the addresses of the compiled laws. Samples where Y is not finite correct nothing. ``ramped`` (open only)
     takes the input to run smoothly from sample to sample instead of being held, ``gam`` and ``gamh`` its coefficients; what input
-    laws add to it from the first on that reads states, outputs or parameters is held over every sub-step. ``along (E, 2)`` are the signals that forces act along, and the gains by which their sizes are those of the signals: they are
+    laws add to it from the first on that reads states or outputs is held over every sub-step. ``along (E, 2)`` are the signals that forces act along, and the gains by which their sizes are those of the signals: they are
     written to states beyond the last, and their columns of ``gx (n, n + E)`` follow code. ``direct``: the input reaches the output at once. Outputs feel
     ``felt (p, n)`` of the forces of effects at once: half of the one before the sample and half of the one after. Where ``xhat`` has no rows only outputs are kept.
     """
@@ -330,7 +330,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
     early = plan.shape[0]  # effects before the first at an input that the measured input and time do not settle
     for i in range(plan.shape[0]):
         for r in range(plan[i, 1] if plan[i, 0] == INPUT else 0):
-            if m <= plan[i, READS + r] < m + n + p or plan[i, READS + r] >= ip:
+            if m <= plan[i, READS + r] < m + n + p:
                 early = min(early, i)
         shaped = shaped or plan[i, 0] == INPUT
         observed = observed or plan[i, 0] == OUTPUT

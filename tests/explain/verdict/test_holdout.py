@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 from afdsvc.api.model import Model, Variable
-from afdsvc.api.physics import Coefficient, Hypothesis, Signal
+from afdsvc.api.physics import LONG_AGO, Coefficient, Hypothesis, Signal
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.build import build
@@ -19,6 +19,7 @@ from afdsvc.explain.verdict import holdout as module
 from afdsvc.explain.verdict.holdout import HeldOutVerdict, Player
 from afdsvc.explain.verdict.verdict import Claim, Verdict
 from afdsvc.lti.statespace import StateSpace
+from afdsvc.plugins.physics.parameter_step import stepping
 
 
 @pytest.fixture
@@ -166,3 +167,19 @@ def test_a_machine_that_began_at_rest_is_played_from_rest_with_a_law_its_model_l
     assert abs(problem.x0[0][0]) > 5
     assert np.std(runs[0].Y - simulated) < 0.1
     assert abs(x0[0]) < 0.1
+
+
+@pytest.mark.parametrize("fails", [-100.0, 7.3, np.inf])
+def test_a_change_comes_in_a_recording_held_out_where_it_shows_or_before_or_after(fails):
+    """The gain falls by 40 % and takes 2 s to do so; in what was fitted it did at 3 s."""
+    rng, dt, n = np.random.default_rng(4), 0.01, 1500
+    share = np.clip((dt * np.arange(n) - fails) / 2.0 + 0.5, 0.0, 1.0)
+    u = np.repeat(rng.normal(size=n // 10), 10)
+    y = lfilter([0, 1 - np.exp(-4 * dt)], [1, -np.exp(-4 * dt)], u * (1 - 0.4 * share * share * (3 - 2 * share)))
+    motor = Model("motor", (Variable("u"),), (Variable("y"),), (Variable("x"),), StateSpace.of([[-4.0]], [[4.0]], [[1.0]]))
+    runs = prepare(motor, [Trace("held", dt, (Channel("u_u"), Channel("y_y")), np.column_stack([u, y]))])
+    problem = build(nominal(motor, dt), runs, Settings())
+    numbers = Coefficient("gain", "", -1.0, 1.0, 0.1), Coefficient("moment", "s", 1.0, 9.0, 1.0, later=LONG_AGO), Coefficient("takes", "s", 2.0, 2.0, 1.0), Coefficient("nominal", "", 1.0, 1.0, 1.0)
+    law = Hypothesis("step", "input:u", "drift", "input", stepping, (Signal("u", 0), Signal("t")), (Signal("u", 0),), numbers, ((0.0, 5.0, 2.0, 1.0),))
+    point = problem.start().added(PlacedEffect(law, np.array([-0.4, 3.0, 2.0, 1.0])))
+    assert Player(problem, "from the inputs", 0.0).nrmse(runs, point)[0] < 6e-3
