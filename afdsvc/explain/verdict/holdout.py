@@ -234,7 +234,7 @@ def _timed(problem: Problem, point: Point, horizon: float) -> Point:
         for _ in range(CLOSER):
             middle = min(middle + span * np.linspace(-1, 1, MOMENTS + 1), key=missed)
             span *= 2 / MOMENTS
-        point = moved(min((LONG_AGO, run.begins + 4 * width, float(middle)), key=missed))
+        point = moved(min((LONG_AGO, float(middle)), key=missed))
     return point
 
 

@@ -170,7 +170,8 @@ def test_a_machine_that_began_at_rest_is_played_from_rest_with_a_law_its_model_l
 
 
 @pytest.mark.parametrize("fails", [-100.0, 7.3, np.inf])
-def test_a_change_comes_in_a_recording_held_out_where_it_shows_or_before_or_after(fails):
+@pytest.mark.parametrize("memory", [0, 2])  # in one recording: what comes before it is undone
+def test_a_change_comes_in_a_recording_held_out_where_it_shows_or_before_or_after(fails, memory):
     """The gain falls by 40 % and takes 2 s to do so; in what was fitted it did at 3 s."""
     rng, dt, n = np.random.default_rng(4), 0.01, 1500
     share = np.clip((dt * np.arange(n) - fails) / 2.0 + 0.5, 0.0, 1.0)
@@ -180,6 +181,6 @@ def test_a_change_comes_in_a_recording_held_out_where_it_shows_or_before_or_afte
     runs = prepare(motor, [Trace("held", dt, (Channel("u_u"), Channel("y_y")), np.column_stack([u, y]))])
     problem = build(nominal(motor, dt), runs, Settings())
     numbers = Coefficient("gain", "", -1.0, 1.0, 0.1), Coefficient("moment", "s", 1.0, 9.0, 1.0, later=LONG_AGO), Coefficient("takes", "s", 2.0, 2.0, 1.0), Coefficient("nominal", "", 1.0, 1.0, 1.0)
-    law = Hypothesis("step", "input:u", "drift", "input", stepping, (Signal("u", 0), Signal("t")), (Signal("u", 0),), numbers, ((0.0, 5.0, 2.0, 1.0),))
+    law = Hypothesis("step", "input:u", "drift", "input", stepping, (Signal("u", 0), Signal("t")), (Signal("u", 0),), numbers, ((0.0, 5.0, 2.0, 1.0),), memory=memory)
     point = problem.start().added(PlacedEffect(law, np.array([-0.4, 3.0, 2.0, 1.0])))
     assert Player(problem, "from the inputs", 0.0).nrmse(runs, point)[0] < 6e-3
