@@ -54,15 +54,16 @@ def test_a_staircase_is_held_even_where_a_shift_of_the_clock_makes_smoothness_fi
     assert not ramped(early)
 
 
-@pytest.mark.parametrize(("level", "error", "expected"), [
-    (np.ones(1500), np.zeros(1500), 0.0),
-    (np.repeat([0.01, 1.0], [900, 600]), np.zeros(1500), 9.0),  # it hardly moves at first
-    (np.ones(1500), np.repeat([0.0, 1.0], [1100, 400]), 11.0),  # what is missed comes late
+@pytest.mark.parametrize(("level", "error", "expected", "rest"), [
+    (np.ones(1500), np.zeros(1500), 0.0, 0.0),
+    (np.repeat([0.01, 1.0], [900, 600]), np.zeros(1500), 9.0, 0.0),  # it hardly moves at first
+    (np.repeat([0.01, 1.0], [900, 600]), np.zeros(1500), 7.0, np.repeat([5.0, 0.0], [900, 600])),  # it rests far from its mean, until it is moved
+    (np.ones(1500), np.repeat([0.0, 1.0], [1100, 400]), 11.0, 0.0),  # what is missed comes late
 ])  # fmt: skip
-def test_hypotheses_are_chosen_where_the_machine_moves_and_is_missed(level, error, expected):
+def test_hypotheses_are_chosen_where_the_machine_moves_and_is_missed(level, error, expected, rest):
     """400 of 1500 samples: the beginning, or the stretch that holds most; ``expected`` is its first moment [s]."""
     rng = np.random.default_rng(2)
-    trace = recording(np.repeat(rng.standard_normal(1500) * level, FINE))
+    trace = recording(np.repeat(rng.standard_normal(1500) * level + rest, FINE))
     trace.values[:, 1] += error * 0.3 * np.sin(1.7 * np.arange(1500) * DT)
     found = settled(build(nominal(lag(), DT), prepare(lag(), [trace]), replace(Settings(), screened=400)))
     (part,), (whole,) = found.part.runs, found.problem.runs
