@@ -414,12 +414,13 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
         for sub in range(nsub):
             if ramped:
                 _between(smooth, k, sub / nsub, 1 / nsub, drive, mean)
-                added[:] = -mean
                 s[:m] = mean
-                s[m : m + n] = x
-                _apply(INPUT, laws[early:], plan[early:], par[early:], mem, s, work, h, mean, 0)
-                added += mean
-                drive[:m] += added
+                if early < plan.shape[0]:
+                    added[:] = -mean
+                    s[m : m + n] = x
+                    _apply(INPUT, laws[early:], plan[early:], par[early:], mem, s, work, h, mean, 0)
+                    added += mean
+                    drive[:m] += added
             elif shaped and sub > 0:
                 mean[:] = u
                 s[:m] = u

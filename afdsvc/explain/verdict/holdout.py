@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,6 @@ from afdsvc.explain.search.fit import Coordinates, Fit, fit, rms
 from afdsvc.explain.search.forward import Found
 from afdsvc.explain.search.problem import NUISANCE, Point, Problem, loop_known
 from afdsvc.explain.search.ranking import is_constant, is_offset
-from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.verdict.verdict import DOUBT, Verdict
 from afdsvc.lti.statespace import Array
 
@@ -218,24 +217,25 @@ def _begun(problem: Problem, point: Point, horizon: float) -> Point:
 def _timed(problem: Problem, point: Point, horizon: float) -> Point:
     """Return the point with every change that comes at a moment at the one at which the only run shows it, or before or after the run: no other recording says when."""
     run, width = problem.runs[0], len(problem.runs[0]) * problem.runs[0].dt / 2
+
+    def missed(there: Point) -> float:
+        return float(np.linalg.norm(problem.residuals(there, horizon)[0]))
+
     for i, effect in enumerate(point.effects):
-        at = next((j for j, c in enumerate(effect.hypothesis.parameters) if c.later == LONG_AGO), None)
-        if at is None:
-            continue
-
-        def moved(moment: float, i: int = i, effect: PlacedEffect = effect, at: int = at, point: Point = point) -> Point:
-            values = np.array([moment if j == at else v for j, v in enumerate(effect.values)])
-            return replace(point, effects=(*point.effects[:i], replace(effect, values=values), *point.effects[i + 1 :]))
-
-        def missed(moment: float, moved: Callable[[float], Point] = moved) -> float:
-            return float(np.linalg.norm(problem.residuals(moved(moment), horizon)[0]))
-
-        middle, span = run.begins + width, width
-        for _ in range(CLOSER):
-            middle = min(middle + span * np.linspace(-1, 1, MOMENTS + 1), key=missed)
-            span *= 2 / MOMENTS
-        point = moved(min((LONG_AGO, float(middle)), key=missed))
+        for j in (j for j, c in enumerate(effect.hypothesis.parameters) if c.later == LONG_AGO):
+            best, span = _valued(point, i, j, run.begins + width), width
+            for _ in range(CLOSER):
+                best = min((_valued(best, i, j, best.effects[i].values[j] + span * s) for s in np.linspace(-1, 1, MOMENTS + 1)), key=missed)
+                span *= 2 / MOMENTS
+            point = min((_valued(best, i, j, LONG_AGO), best), key=missed)
     return point
+
+
+def _valued(point: Point, i: int, j: int, value: float) -> Point:
+    """Return the point with another value of parameter ``j`` of effect ``i``."""
+    values = point.effects[i].values.copy()
+    values[j] = value
+    return replace(point, effects=(*point.effects[:i], replace(point.effects[i], values=values), *point.effects[i + 1 :]))
 
 
 def _begun_near(problem: Problem, point: Point, horizon: float) -> tuple[Point, float]:
