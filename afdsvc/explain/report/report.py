@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from afdsvc.api.physics import LONG_AGO, Physics
+from afdsvc.api.physics import Physics
 from afdsvc.dataset.sample_checks import Finding
 from afdsvc.dataset.split import Split
 from afdsvc.explain.check.check import insufficient_excitation, one_frequency
@@ -25,7 +25,7 @@ from afdsvc.explain.search.problem import NUISANCE, Problem
 from afdsvc.explain.settings import Mapper
 from afdsvc.explain.simulate.nominal import Nominal, entry_name
 from afdsvc.explain.simulate.simulator import Simulator
-from afdsvc.explain.verdict.holdout import HeldOutVerdict, player
+from afdsvc.explain.verdict.holdout import HeldOutVerdict, moments, player
 from afdsvc.explain.verdict.verdict import Verdict
 from afdsvc.lti.statespace import Array
 from afdsvc.lti.transfer_function import ratio_text, to_polynomials
@@ -89,10 +89,9 @@ def _excited(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
 
 def _moments(problem: Problem, final: Fit) -> Iterator[str]:
     """Yield a sentence on every change at a moment: in which recording it comes, and when there."""
-    for effect in final.point.effects:
-        for value in (v for v, c in zip(effect.values, effect.hypothesis.parameters, strict=True) if c.later == LONG_AGO):
-            there = next((f"at {r.t0 + value - r.begins:.4g} s of {r.name}" for r in problem.runs if r.begins <= value < r.begins + len(r) * r.dt), "between two recordings")
-            yield f"{effect.hypothesis.title}: the change comes {there}; recordings held out are compared with the moment that fits each of them best"
+    for effect, value in ((final.point.effects[i], final.point.effects[i].values[j]) for i, j in moments(final.point)):
+        there = next((f"at {r.t0 + value - r.begins:.4g} s of {r.name}" for r in problem.runs if r.begins <= value < r.begins + len(r) * r.dt), "between two recordings")
+        yield f"{effect.hypothesis.title}: the change comes {there}; recordings held out are compared with the moment that fits each of them best"
 
 
 def _moved(nominal: Nominal, final: Fit) -> Iterator[str]:

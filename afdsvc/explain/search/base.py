@@ -66,11 +66,9 @@ def _shown(problem: Problem, part: Problem, f: Fit, horizon: float) -> Problem:
     of the motion, or of what the fit to whole recordings misses, the stretches of the same lengths that hold most of both."""
     simulated = problem.simulated(f.point, horizon)
     spread = np.maximum(np.vstack([s.y for s in simulated]).std(0), 1e-300)
-    held, whole = [], np.full(2, 1e-300)
-    for r, e, s in zip(part.runs, f.residuals, simulated, strict=True):
-        both = [e / f.sd, s.y / spread]
-        held.append(np.stack([_powers(x, len(r)) for x in both]))
-        whole += [float(_powers(x, len(x))[0]) for x in both]
+    pairs = [(e / f.sd, s.y / spread) for e, s in zip(f.residuals, simulated, strict=True)]
+    held = [np.stack([_powers(x, len(r)) for x in pair]) for r, pair in zip(part.runs, pairs, strict=True)]
+    whole = np.sum([[float(_powers(x, len(x))[0]) for x in pair] for pair in pairs], axis=0) + 1e-300
     if (sum(h[:, 0] for h in held) * f.samples >= problem.settings.shown * whole * sum(len(r) for r in part.runs)).all():
         return part
     begins = [int(np.argmax(h.T @ (1 / whole))) for h in held]

@@ -39,8 +39,7 @@ CLOSE = 1e-8  # error of an implicit force, over the force
 PASSES = 40  # most evaluations of a friction law in one sub-step
 
 _inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
-# The caller holds all arrays: counting who else does takes longer than the rest.
-_called = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]
+_called = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)  # type: ignore[call-overload]  # the caller holds all arrays; counting references takes longer than the rest
 
 
 @intrinsic

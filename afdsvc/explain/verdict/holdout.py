@@ -53,7 +53,8 @@ class Player:
         One is a t-test of the logarithm of the ratio of their losses over blocks of several correlation times: it sees small differences
         in long recordings. The other is the F-test of the ratio over all recordings, each loss with as many degrees of freedom as its
         residual has independent samples: it sees large ones in short recordings. Residuals are weighted as in the search, and outputs
-        count by what ``before`` misses. 0 where a simulation left, or all recordings together are followed worse.
+        count by what ``before`` misses. A moment that was sought there counts as many tests (Bonferroni). 0 where a simulation left, or all recordings
+        together are followed worse.
         """
         weighting, scale = self.problem.weighting, self.problem.scale
         outputs = [self.outputs(runs, p) for p in (before, after)]
@@ -69,7 +70,8 @@ class Player:
             return 0.0
         steady = float(ttest_1samp(ratio, 0.0, alternative="greater").pvalue) if np.ptp(ratio) > 0 else 1.0
         degrees = [sum(e.size for e in pieces) / correlation_time(pieces) for pieces in (first, second)]
-        return 1 - 2 * min(steady, float(f_distribution.sf(total, *degrees)), 0.5)
+        tried = float(MOMENTS ** max(0, len(moments(after)) - len(moments(before))))
+        return 1 - 2 * min(tried * steady, tried * float(f_distribution.sf(total, *degrees)), 0.5)
 
 
 def player(problem: Problem, last: float) -> Player:
@@ -221,14 +223,18 @@ def _timed(problem: Problem, point: Point, horizon: float) -> Point:
     def missed(there: Point) -> float:
         return float(np.linalg.norm(problem.residuals(there, horizon)[0]))
 
-    for i, effect in enumerate(point.effects):
-        for j in (j for j, c in enumerate(effect.hypothesis.parameters) if c.later == LONG_AGO):
-            best, span = _valued(point, i, j, run.begins + width), width
-            for _ in range(CLOSER):
-                best = min((_valued(best, i, j, best.effects[i].values[j] + span * s) for s in np.linspace(-1, 1, MOMENTS + 1)), key=missed)
-                span *= 2 / MOMENTS
-            point = min((_valued(best, i, j, LONG_AGO), best), key=missed)
+    for i, j in moments(point):
+        best, span = _valued(point, i, j, run.begins + width), width
+        for _ in range(CLOSER):
+            best = min((_valued(best, i, j, best.effects[i].values[j] + span * s) for s in np.linspace(-1, 1, MOMENTS + 1)), key=missed)
+            span *= 2 / MOMENTS
+        point = min((_valued(best, i, j, LONG_AGO), best), key=missed)
     return point
+
+
+def moments(point: Point) -> list[tuple[int, int]]:
+    """Return the numbers of effects that come at a moment, and of the parameters that say when."""
+    return [(i, j) for i, e in enumerate(point.effects) for j, c in enumerate(e.hypothesis.parameters) if c.later == LONG_AGO]
 
 
 def _valued(point: Point, i: int, j: int, value: float) -> Point:

@@ -109,6 +109,7 @@ def test_better_in_every_block_is_sure_and_in_half_of_them_is_not(monkeypatch):
     problem = SimpleNamespace(weighting=lambda e: e, scale=np.ones(1), settings=Settings())
     simulated = {"before": -noise - missed, "after": -noise, "another": -rng.standard_normal((n, 1)) - missed, "left": np.full((n, 1), np.nan)}
     monkeypatch.setattr(Player, "outputs", lambda self, runs, point: [simulated[point]])
+    monkeypatch.setattr(module, "moments", lambda point: [])
     runs = [type("Recording", (), {"Y": np.zeros((n, 1)), "__len__": lambda self: n})()]
     play = Player(problem, "from the inputs", 0.0)
     assert play.better(runs, "before", "after") > 0.999
@@ -116,8 +117,9 @@ def test_better_in_every_block_is_sure_and_in_half_of_them_is_not(monkeypatch):
     assert play.better(runs, "before", "left") == 0.0
 
 
-def _short(monkeypatch, before, after):
-    """Return how sure it is that ``after`` is better, both errors ``(n, 1)``, in one recording of two blocks."""
+def _short(monkeypatch, before, after, moments=()):
+    """Return how sure it is that ``after``, with changes at ``moments``, is better, both errors ``(n, 1)``, in one recording of two blocks."""
+    monkeypatch.setattr(module, "moments", lambda point: moments if point == "after" else ())
     problem = SimpleNamespace(weighting=lambda e: e, scale=np.ones(1), settings=Settings())
     simulated = {"before": -before, "after": -after}
     monkeypatch.setattr(Player, "outputs", lambda self, runs, point: [simulated[point]])
@@ -130,6 +132,15 @@ def test_an_error_five_times_smaller_is_sure_in_a_recording_of_two_blocks(monkey
     rng, n = np.random.default_rng(2), 160
     slow, uneven = np.linspace(-1.0, 1.0, n)[:, None], np.repeat([0.01, 0.15], n // 2)[:, None]
     assert _short(monkeypatch, slow, uneven * rng.standard_normal((n, 1))) > 0.95
+
+
+def test_a_moment_sought_in_the_recording_counts_as_many_tests(monkeypatch):
+    """One error twice as small, in power, than another of the same colour."""
+    rng, n = np.random.default_rng(6), 200
+    one, other = (rng.standard_normal((n, 1)) for _ in range(2))
+    plain, sought = (1 - _short(monkeypatch, np.sqrt(2.0) * one, other, moments) for moments in ((), ((0, 1),)))
+    assert 0 < plain < 1e-3
+    assert sought == pytest.approx(module.MOMENTS * plain, rel=1e-6)
 
 
 def test_models_that_follow_short_recordings_alike_rarely_seem_different(monkeypatch):
