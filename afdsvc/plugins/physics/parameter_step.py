@@ -20,8 +20,10 @@ FIXED = 3  # constants of the model come after the change, its moment and how lo
 
 def stepping(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """Terms ``1 + p[0]`` times as large after the moment ``p[1]``; the change takes ``p[2]`` seconds. ``p[3:]`` are coefficients, time comes last in ``z``.
+    Where there is no other signal, ``p[0]`` is added.
 
-    With a memory, of the time at which the recording began, it is undone where the next recording begins.
+    With a memory, of the time at which the recording began, it is undone where the next recording begins; a moment before all recordings
+    (`LONG_AGO`) has come in each of them.
     """
     share = min(max((z[-1] - p[1]) / p[2] + 0.5, 0.0), 1.0)
     if len(m) > 1:
@@ -29,7 +31,7 @@ def stepping(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
             m[0], m[1] = z[-1], 1.0
         if -1e299 < p[1] < m[0]:
             share = 0.0
-    total = 0.0
+    total = 1.0 if len(z) == 1 else 0.0
     for k in range(len(z) - 1):
         total += p[3 + k] * z[k]
     out[0] += p[0] * share * share * (3 - 2 * share) * total
@@ -64,11 +66,8 @@ class ParameterStep:
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
         """Return one or two hypotheses per number and place."""
         for h in ParameterChange().over_time(machine):
-            law, variant = stepping_inertia if h.law is inertia else stepping, h.notes["variant"]
-            step = replace(h, law=law, reads=(*h.reads, TIME), linear=_after(h), **self._course(machine, h))
-            yield step
-            if machine.recordings > 1:
-                yield replace(step, memory=2, notes={**h.notes, "variant": f"{variant}, in one recording", "of": h.notes.get("of", variant)})
+            law = stepping_inertia if h.law is inertia else stepping
+            yield from once_or_for_good(replace(h, law=law, reads=(*h.reads, TIME), linear=_after(h), **self._course(machine, h)), machine)
 
     def _course(self, machine: Machine, h: Hypothesis) -> dict[str, Any]:
         numbers, starts = coming(machine)
@@ -89,6 +88,14 @@ def coming(machine: Machine) -> tuple[tuple[Coefficient, Coefficient], list[tupl
     moment = Coefficient("moment", "s", begin + SIDES * whole, end - SIDES * whole, 0.1 * whole, later=LONG_AGO)
     takes = Coefficient("time it takes", "s", machine.dt, LONGEST * whole, 0.1 * whole, nuisance=True, decisive=True)
     return (moment, takes), [(begin + share * whole, FIRST * whole) for share in MOMENTS]
+
+
+def once_or_for_good(h: Hypothesis, machine: Machine) -> Iterable[Hypothesis]:
+    """Return a change that lasts, and where there are several recordings, one that is undone before the next one."""
+    yield h
+    if machine.recordings > 1:
+        variant = h.notes.get("variant", "")
+        yield replace(h, memory=2, notes={**h.notes, "variant": f"{variant}, in one recording" if variant else "in one recording", "of": h.notes.get("of", variant)})
 
 
 def _after(h: Hypothesis) -> Any:

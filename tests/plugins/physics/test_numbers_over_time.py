@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from afdsvc.api.physics import LONG_AGO
-from afdsvc.plugins.physics.offset_step import OffsetStep, beginning
+from afdsvc.plugins.physics.offset_step import OffsetStep
 from afdsvc.plugins.physics.parameter_change import ParameterChange
 from afdsvc.plugins.physics.parameter_drift import drifting_gain, drifting_inertia, drifting_terms
 from afdsvc.plugins.physics.parameter_step import ParameterStep, stepping, stepping_inertia
@@ -39,14 +39,14 @@ def test_a_number_that_changes_at_one_moment_is_as_stated_before_and_keeps_its_n
     for t, reached in ((0.0, 0.0), (9.0, 0.0), (9.5, 0.15625), (10.0, 0.5), (10.5, 0.84375), (11.0, 1.0), (1e9, 1.0)):
         c = change * reached
         for law, constants, signals, expected in (
-            (beginning, [], [], c), (stepping, [1.0], [3.0], 3.0 * c), (stepping, [2.0, -1.0], [3.0, 4.0], 2.0 * c), (stepping_inertia, [2.0, -1.0], [3.0, 4.0], 2.0 / (1 + c) - 2.0),
+            (stepping, [], [], c), (stepping, [1.0], [3.0], 3.0 * c), (stepping, [2.0, -1.0], [3.0, 4.0], 2.0 * c), (stepping_inertia, [2.0, -1.0], [3.0, 4.0], 2.0 / (1 + c) - 2.0),
         ):
             out = np.zeros(1)
             law(np.array([change, moment, takes, *constants]), np.array([*signals, t]), np.zeros(0), 0.01, out)
             assert out[0] == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize(("law", "constants", "signals", "changed"), [(beginning, [], [], -0.4), (stepping, [1.0], [3.0], -1.2), (stepping_inertia, [2.0, -1.0], [3.0, 4.0], 2.0 / 0.6 - 2.0)])
+@pytest.mark.parametrize(("law", "constants", "signals", "changed"), [(stepping, [], [], -0.4), (stepping, [1.0], [3.0], -1.2), (stepping_inertia, [2.0, -1.0], [3.0, 4.0], 2.0 / 0.6 - 2.0)])
 def test_a_change_in_one_recording_is_undone_where_the_next_begins(law, constants, signals, changed):
     """It comes at 10 s. A moment long ago, with which the improved model has it, has come in every recording."""
     for begins, moment, expected in ((0.0, 10.0, [0.0, changed]), (9.0, 10.0, [0.0, changed]), (15.0, 10.0, [0.0, 0.0]), (15.0, LONG_AGO, [changed, changed])):
