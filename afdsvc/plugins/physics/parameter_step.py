@@ -95,7 +95,7 @@ def once_or_for_good(h: Hypothesis, machine: Machine) -> Iterable[Hypothesis]:
     yield h
     if machine.recordings > 1:
         variant = h.notes.get("variant", "")
-        yield replace(h, memory=2, notes={**h.notes, "variant": f"{variant}, in one recording" if variant else "in one recording", "of": h.notes.get("of", variant)})
+        yield replace(h, memory=2, notes={**h.notes, "variant": f"{variant}, in one recording" if variant else "in one recording", "of": h.notes.get("of", "")})
 
 
 def _after(h: Hypothesis) -> Any:
