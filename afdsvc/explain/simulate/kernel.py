@@ -35,7 +35,7 @@ INPUT, FORCE, OUTPUT, FRICTION, RECORDED, PARAMETER = 0, 1, 2, 3, 4, 5  # RECORD
 AHEAD = 7  # samples of the measured input that such a law may read from the future
 IMPLICIT = 0.75  # point of the sub-step where friction is evaluated: 0.5 would chatter at rest, 1 switches late at reversals
 SHARP = 0.001  # share of the sub-step that an implicit law gets as dt: it need not be smooth over the whole
-CLOSE = 1e-8  # error of an implicit force, over the force
+CLOSE = 1e-6  # error of an implicit force, over the force, before the last secant
 PASSES = 40  # most evaluations of a friction law in one sub-step
 
 _inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -121,14 +121,14 @@ def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gx, first, last, 
 
     The force ``f = law(x + 0.75 (x+ - x))`` acts over the sub-step and depends on the state ``x+`` it leads to. It is ``r`` times
     the force ``first`` that would act without it, ``r`` in [0, 1] found by secants inside a bracket, beginning at the ``last``
-    force of the law. At rest it balances the other forces, so an axis sticks; a third of what remains of the motion is left
-    after every sub-step. A law that drives motion is evaluated twice. The forces are added to ``push``.
+    force and slope of the law. At rest it balances the other forces, so an axis sticks; a third of what remains of the motion is
+    left after every sub-step. A law that drives motion acts as at ``r = 1``. The forces are added to ``push``.
     """
     for i in range(plan.shape[0]):
         if plan[i, 0] != FRICTION:
             continue
-        r, low, high, size = 0.0, 0.0, 1.0, 0.0
-        before, excess_before, following = 1.0, 0.0, 1.0
+        r, low, high, size = 0.0, 0.0, 2.0, 0.0
+        before, excess_before = 0.0, 1.0
         for k in range(plan[i, 2]):
             first[k] = 0.0
         for turn in range(PASSES):
@@ -147,30 +147,30 @@ def _friction(laws, plan, par, mem, s, work, dt, base, x, new, gx, first, last, 
                     size += first[q] * first[q]
                 if size == 0.0:
                     break
-                r = 1.0
+                r = last[i, 0] / first[0] if first[0] != 0.0 else 1.0
+                if not 0.0 < r < 1.0:
+                    r = 1.0
                 continue
             excess = -r
             for q in range(plan[i, 2]):
                 excess += first[q] * work[MOST_SIGNALS + q] / size
-            if turn == 1 and excess > -CLOSE:
+            if r == 1.0 and excess > -CLOSE:
                 r = min(1.0 + excess, 1.5)
                 break
+            if turn > 1:
+                last[i, 1] = (excess - excess_before) / (r - before)
+            following = r - excess / last[i, 1]
             if abs(excess) < CLOSE:
+                r = following
                 break
             if excess > 0.0:
                 low = r
             else:
                 high = r
-            if turn == 1:
-                following = last[i] / first[0] if first[0] != 0.0 else 0.0
-            elif turn == 2:
-                following = r + 2 * SHARP * excess
-            else:
-                following = r - excess * (r - before) / (excess - excess_before)
             if turn % 4 == 0 or not low < following < high:
                 following = 0.5 * (low + high)
-            before, excess_before, r = r, excess, following
-        last[i] = r * first[0]
+            before, excess_before, r = r, excess, min(following, 1.0)
+        last[i, 0] = r * first[0]
         for q in range(plan[i, 2]):
             _push(plan[i, READS + MOST_SIGNALS + q], r * first[q], gx, dt, push)
             for j in range(x.size):
@@ -323,7 +323,7 @@ def simulate_compiled(  # type: ignore[no-untyped-def]  # noqa: C901, PLR0915 - 
     drive = np.zeros((DEGREE + 1) * m) if ramped else mean
     it, ip = m + n + p + na, m + n + p + na + 1 + AHEAD * m
     s, work, first = np.zeros(ip + values.size), np.zeros(2 * MOST_SIGNALS), np.zeros(MOST_SIGNALS)
-    last, stated = np.zeros(plan.shape[0]), values.copy()
+    last, stated = -np.ones((plan.shape[0], 2)), values.copy()
     corrected = 0 if closed or not np.any(Kp) else p
     shaped, observed, rubbed, led, varied = False, False, False, False, False
     early = plan.shape[0]  # effects before the first at an input that the measured input and time do not settle
