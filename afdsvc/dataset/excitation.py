@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,13 +18,14 @@ from afdsvc.lti.statespace import Array
 LEVELS_APART = 1.2
 SINE = "one frequency"  # the topic of an input that is excited at one or two frequencies only
 LEFT_OVER = 0.02  # of the input's rms: what reconstructing the loop may leave where nothing was added
+SAME_LINE = 1.02  # ratio of the frequencies of two recordings up to which they count as one
 EXCITED = 0.1  # amplitude of a line over the largest from which it counts as played
 
 
 @dataclass(frozen=True, slots=True)
 class InputSource:
-    """What drove one input (or followed a reference) over all recordings: rms per recording, lines of the richest one, band
-    [Hz], whether only odd lines are in it, and the most periods of any."""
+    """What drove one input (or followed a reference) over all recordings: rms per recording, and of the loudest that holds more than two lines, else
+    of all together: lines, band [Hz], whether only odd lines are in it, periods (1: it does not repeat)."""
 
     rms: tuple[float, ...]
     lines: int
@@ -51,9 +53,10 @@ def check_excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
         elif not any(p.rms):
             yield Finding("warning", "inputs", f"input {v.name} is not excited: its effect cannot be distinguished from noise")
         elif p.lines <= 2 and p.periods > 1:
+            sines = f"one sine ({p.band[0]:.4g}" if p.lines == 1 else f"two sines ({p.band[0]:.4g} and {p.band[1]:.4g}"
             yield Finding(
                 "warning", SINE,
-                f"input {v.name} is excited by {'one sine' if p.lines == 1 else 'two sines'} ({p.band[0]:.4g} Hz) only: delay, lag, "
+                f"input {v.name} is excited by {sines} Hz) only: delay, lag, "
                 "gain, stiffness and damping cannot be separated, nor friction and a dead zone; a multisine would "
                 "separate them",
             )
@@ -78,8 +81,11 @@ def input_source(runs: Sequence[Run], i: int) -> InputSource:
     if top == 0:
         return InputSource(rms, 0, (0.0, 0.0), False, 0)
     rms = tuple(x if x > 1e-6 * top else 0.0 for x in rms)
-    loudest = int(np.argmax(rms))
-    lines, band, odd, periods = _spectrum(runs[loudest], signals[loudest])
+    spectra = [(x, *_spectrum(r, s)) for x, r, s in zip(rms, runs, signals, strict=True) if x]
+    _, lines, band, odd, periods = max(spectra, key=lambda s: (s[1] > 2 or s[-1] == 1, s[0]))
+    if lines <= 2 and periods > 1:
+        edges = sorted({edge for _, _, band, _, _ in spectra for edge in band})
+        lines, band = 1 + sum(b > SAME_LINE * a for a, b in pairwise(edges)), (edges[0], edges[-1])
     return InputSource(rms, lines, band, odd, periods)
 
 
