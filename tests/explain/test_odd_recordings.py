@@ -180,3 +180,27 @@ def test_recordings_without_any_noise_have_no_coloured_noise():
     traces = [replace(t, values=np.column_stack([t.values[:, 0], simulate(sample_zoh(PLANT, DT), t.values[:, :1])[0][:, 0]])) for t in map(recording, range(3))]
     answer = explain(model(), traces[:2], traces[2:], afdsvc_physics(), experiment=False)
     assert (answer.verdict, answer.named) == ("consistent", ())
+
+
+def coasting(seed: int, begins: float, friction: float) -> Trace:
+    """A car that coasts and does not stop: ``v' = -0.03 v - friction``, in closed form, speed read to 0.1 km/h."""
+    t = 0.1 * np.arange(300)
+    v = (begins + friction / 0.03) * np.exp(-0.03 * t) - friction / 0.03
+    assert v.min() > 0
+    return Trace(f"coasting {seed}", 0.1, (Channel("y_speed", "km/h"),), (v + 0.1 * np.random.default_rng(seed).standard_normal(300))[:, None])
+
+
+@pytest.mark.parametrize("friction", [0.6, 0.0])
+def test_what_a_motion_without_reversal_cannot_separate_is_named_together(friction):
+    speed = (Variable("speed", "km/h"),)
+    model = Model("car", (), speed, speed, StateSpace(np.array([[-0.03]]), np.zeros((1, 0)), np.eye(1), np.zeros((1, 0))))
+    held = [coasting(3, 36.0, friction)]
+    answer = explain(model, [coasting(1, 40.0, friction), coasting(2, 32.0, friction)], held, afdsvc_physics(), experiment=False)
+    named = {n.physics: n for n in answer.named}
+    if not friction:
+        assert (answer.verdict, named) == ("consistent", {})
+        return
+    assert set(named) == {"coulomb_friction", "constant_load", "sensor_offset"}
+    assert max(n.weight for n in named.values()) < 0.5
+    assert named["coulomb_friction"].parameters["force"].value == pytest.approx(friction, rel=0.02)
+    assert named["constant_load"].parameters["force"].value == pytest.approx(-friction, rel=0.02)

@@ -54,10 +54,11 @@ def gap_test(
     r2 = sure.scores.best()
     choices = [sure.scores.choice(j) for j in range(len(r2))]
     held = float(reg.correlations.max()) / settings.block_times
+    won = sum(sure.scores.errors[tier, :, ridge, j] for j, (tier, ridge) in enumerate(choices)) < sure.scores.power.sum(1)
     found = Gap(
         present=p_value <= settings.level, r2=_floats(r2), total=float(r2.mean()), linear=float(sure.scores.r2()[0].max(0).mean()),
         whitened=_floats(sure.whitened), p_value=p_value, threshold=_floats(sure.threshold), blocks=reg.blocks.folds,
-        blocks_won=_won(sure.scores, choices), enough=held >= settings.needed_blocks, correlation_time=_floats(reg.tau),
+        blocks_won=float(np.mean(won)), enough=held >= settings.needed_blocks, correlation_time=_floats(reg.tau),
         depends_on=depends_on(reg, choices, r2), repeats=None if again is None else _floats(again.share), offset=_floats(reg.centred.offset),
     )
     return replace(found, sentence=sentence(found, output_names, held, settings.needed_blocks))
@@ -76,12 +77,6 @@ def flexible_prediction(
     names = (output_names, input_names, state_names, aux_names)
     check_signals(recordings, names)
     return predicted(projected(recordings, rng, settings), names, rng, settings)
-
-
-def _won(scores: Scores, choices: Sequence[tuple[int, int]]) -> float:
-    """Return the share of left-out folds in which the prediction lowers the squared error, summed over the outputs."""
-    errors = sum(scores.errors[tier, :, ridge, j] for j, (tier, ridge) in enumerate(choices))
-    return float((errors < scores.power.sum(1)).mean())
 
 
 def depends_on(reg: FeatureRegression, choices: Sequence[tuple[int, int]], r2: Array) -> tuple[tuple[str, float], ...]:

@@ -196,6 +196,7 @@ class Explanation:
 
     def json(self, model_path: str | None, report_path: str | None) -> dict[str, Any]:
         """Return the document of `explain --json`; the paths are those of the improved MODEL.toml and of the report."""
+        left = None if self.remainder is None else _gap(self.remainder) | {"share_of_gap": 1 - self.explained[0]}
         table: dict[str, Any] = plain({
             "verdict": self.verdict, "gap": _gap(self.gap), "located": [asdict(p) for p in self.located],
             "named": [asdict(n) for n in self.named], "candidates": [asdict(c) for c in self.candidates], "rejected": [asdict(r) for r in self.rejected],
@@ -205,14 +206,10 @@ class Explanation:
                 "whiteness_p": dict(zip(("before", "after"), self.whiteness_p, strict=True)),
             },
             "model": model_path, "report": report_path, "explained": {"fraction": self.explained[0], "sd": self.explained[1]},
-            "sentences": self.sentences, "check": self.check, "next_experiment": self.next_experiment, "remainder": self._remainder(),
+            "sentences": self.sentences, "check": self.check, "next_experiment": self.next_experiment, "remainder": left,
             "noise_floor": self.noise_floor, "simulated": self.simulated, "notes": self.notes,
         })
         return table
-
-    def _remainder(self) -> dict[str, Any] | None:
-        left = self.remainder
-        return None if left is None else _gap(left) | {"share_of_gap": 1 - self.explained[0]}
 
 
 def _gap(gap: Gap) -> dict[str, Any]:

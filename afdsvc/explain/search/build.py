@@ -33,7 +33,7 @@ def build(nominal: Nominal, runs: Sequence[Run], settings: Settings, heldout: Se
     problem = Problem(nominal, tuple(runs), scale, np.ones(n), tuple(np.zeros(n) for _ in runs), gains, even(len(scale)), settings)
     states = np.vstack([s.x for s in problem.simulated(problem.start(), STRONG)])
     problem = replace(problem, state_scale=_positive(np.sqrt(np.mean(np.minimum(np.abs(states), LARGEST) ** 2, axis=0))))
-    regular = not n or _regular(nominal)
+    regular = not n or growth(nominal) < 1 - 1e-9  # it forgets its initial state, and can be simulated from its inputs alone
     problem = replace(problem, offset_free=regular, regular=regular, loads=() if regular else loads(nominal, force, settings.load_sd))
     if not regular and all(r.W is not None for r in heldout) and _follows_in_loop(problem):
         problem = replace(problem, closed=True, regular=True, settings=replace(settings, horizons=(0.0,)))
@@ -62,11 +62,6 @@ def growth(nominal: Nominal) -> float:
     with np.errstate(all="ignore"):
         whole = np.linalg.matrix_power(s.phi, s.nsub)
     return float(np.abs(np.linalg.eigvals(whole)).max(initial=0.0)) if np.isfinite(whole).all() else np.inf
-
-
-def _regular(nominal: Nominal) -> bool:
-    """Whether the plant forgets its initial state: it has a static gain, and can be simulated from its inputs alone."""
-    return growth(nominal) < 1 - 1e-9
 
 
 def _follows_in_loop(problem: Problem) -> bool:

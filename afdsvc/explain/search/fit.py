@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from afdsvc.api.physics import Coefficient
+from afdsvc.api.physics import Coefficient, Hypothesis
 from afdsvc.explain.noise.weighting import correlation_time
 from afdsvc.explain.search.problem import NUISANCE, Point, Problem
 from afdsvc.lti.statespace import Array
@@ -124,6 +124,13 @@ class Coordinates:
     def penalty(self, q: Array) -> float:
         """Half the sum of squares of the prior."""
         return 0.5 * float(np.sum((self.prior_weight * (q - self.prior_mean)) ** 2))
+
+
+def priced(problem: Problem, fit: Fit, h: Hypothesis) -> int:
+    """Return how many free numbers of an effect cost evidence: all but nuisances that the recordings say nothing of (MacKay 1992, Occam factor)."""
+    c = Coordinates(problem, fit.point)
+    mine = [(c.k + c.p + n, k.nuisance) for n, (i, _, k) in enumerate(c.slots) if fit.point.effects[i].hypothesis.key == h.key]
+    return sum(not nuisance or bool(fit.H[column, column] > 1.0) for column, nuisance in mine)
 
 
 def logarithmic(c: Coefficient) -> bool:

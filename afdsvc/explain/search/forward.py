@@ -23,7 +23,7 @@ from afdsvc.explain.search.evidence import (
     noise_times,
     refitted,
 )
-from afdsvc.explain.search.fit import Fit
+from afdsvc.explain.search.fit import Fit, priced
 from afdsvc.explain.search.machine import bandwidth, hypotheses, machine
 from afdsvc.explain.search.path import (
     FINER,
@@ -325,7 +325,7 @@ class Rounds(Settled):
 
     def evidence(self, path: dict[float, Fit], base: dict[float, Fit], h: Hypothesis, taus: dict[float, float] | None = None) -> HypothesisEvidence:
         """Return the evidence for one hypothesis; a constant of the model costs nothing, it is there already."""
-        return self.over(path, base, 0 if is_constant(h) else sum(c.free for c in h.parameters), taus)
+        return self.over(path, base, 0 if is_constant(h) else priced(self.problem, list(path.values())[-1], h), taus)
 
     def over(self, path: dict[float, Fit], base: dict[float, Fit], count: int, taus: dict[float, float] | None = None) -> HypothesisEvidence:
         """Return the evidence for a path of ``count`` more parameters; samples count by ``taus``, or by the path's own residual, and

@@ -133,13 +133,13 @@ def vote_shares(candidates: Sequence[Candidate], settings: Settings, limited: st
 
 
 def look_alikes(candidates: Sequence[Candidate], settings: Settings, limited: str = "model") -> list[Candidate]:
-    """Return the first candidate and the reasons that close nearly as much and gain as they must, one of every mechanism."""
+    """Return the first candidate and the reasons that close nearly as much and gain as they must, of every mechanism the simplest shape that fits alike."""
     if not candidates:
         return []
     least, best = settings.alike * candidates[0].evidence.closed, candidates[0]
-    found = {mechanism(best.hypothesis): best}
+    shapes: dict[tuple[str, ...], list[Candidate]] = {}
     for c in candidates[1:]:
         reason = is_reason(c, limited) or is_constant(best.hypothesis)
         if reason and c.evidence.closed >= least and c.evidence.gain > settings.evidence:
-            found.setdefault(mechanism(c.hypothesis), c)
-    return list(found.values())
+            shapes.setdefault(mechanism(c.hypothesis), []).append(c)
+    return [best, *(_simplest(found, settings, limited) for what, found in shapes.items() if what != mechanism(best.hypothesis))]

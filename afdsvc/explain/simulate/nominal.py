@@ -283,7 +283,7 @@ def _entries(plant: StateSpace, stated: Mapping[str, Array]) -> tuple[Entry, ...
     found: list[Entry] = []
     for name in ("A", "B", "C", "D"):
         matrix: Array = getattr(plant, name)
-        sd = np.asarray(stated[name], float) if name in stated else _default_sd(matrix)
+        sd = np.asarray(stated[name], float) if name in stated else np.where(np.abs(matrix) == 1, 0.0, DEFAULT_RELATIVE_SD * np.abs(matrix))
         if sd.shape != matrix.shape:
             raise BadInput(f"uncertainty of {name} has shape {sd.shape}; expected {matrix.shape}")
         found += [Entry(name, int(i), int(j), float(sd[i, j]), f"{name}[{i + 1},{j + 1}]") for i, j in np.argwhere(sd > 0)]
@@ -336,8 +336,3 @@ def _coefficient_name(nominal: Nominal, entry: Entry) -> str:
 
 def _start(plant: StateSpace, entry: Entry) -> float:
     return 1.0 if entry.matrix in (INPUT_GAIN, OUTPUT_GAIN) else float(getattr(plant, entry.matrix)[entry.row, entry.column])
-
-
-def _default_sd(matrix: Array) -> Array:
-    fixed = (matrix == 0) | (np.abs(matrix) == 1)
-    return np.where(fixed, 0.0, DEFAULT_RELATIVE_SD * np.abs(matrix))

@@ -107,6 +107,8 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
     stated, refitted = (_error(play, runs, p) for p in (found.problem.start(), found.start[last].point))
     if verdict.claims:
         first = verdict.claims[0].candidate.hypothesis
+        if is_offset(first):  # the refit has one, too
+            refitted = _error(play, runs, _refitted_about_zero(found))
         final = _with(found, {c.candidate.hypothesis.key for c in verdict.claims})
         error = _error(play, runs, final.point)
         without = _without(found, verdict, refitted < stated)
@@ -149,7 +151,15 @@ def _without(found: Found, verdict: Verdict, eased: bool) -> Point:
     offsets = {h.key for h in others if is_offset(h) and not (is_offset(first) or is_constant(first))}
     if offsets:
         return _with(found, offsets).point
-    return found.problem.start() if is_constant(first) or not eased else list(found.start.values())[-1].point
+    if is_constant(first) or not eased:
+        return found.problem.start()
+    return _refitted_about_zero(found) if is_offset(first) else list(found.start.values())[-1].point
+
+
+def _refitted_about_zero(found: Found) -> Point:
+    """Return the model refitted without effects and without offsets."""
+    last, base = list(found.start.items())[-1]
+    return fit(replace(found.problem, offset_free=False), replace(base.point, offset=0 * base.point.offset), last, base.tau).point
 
 
 def _error(play: Player, runs: Sequence[Run], point: Point) -> float:

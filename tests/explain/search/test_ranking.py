@@ -114,3 +114,5 @@ def test_look_alikes_close_half_of_what_the_first_one_closes():
 def test_of_every_mechanism_one_shape_is_a_look_alike():
     first, shape, near = candidate("curve", 0.9, variant="cube"), candidate("curve", 0.89, variant="square"), candidate("friction", 0.8)
     assert look_alikes([first, shape, near], S) == [first, near]
+    asymmetric, even = candidate("friction", 0.85, 2, variant="asymmetric"), candidate("friction", 0.849)
+    assert look_alikes([first, asymmetric, even], S) == [first, even]  # the simplest of those that fit alike
