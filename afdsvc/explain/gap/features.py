@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy.signal import lfilter
@@ -61,11 +60,7 @@ class SignalColumn:
 
     def of(self, function: Function) -> Function:
         """Return ``function`` of this signal as a function of all."""
-        return partial(_of_column, function=function, column=self.column)
-
-
-def _of_column(z: Array, function: Function, column: int) -> Array:
-    return function(z[:, column])
+        return lambda z: function(z[:, self.column])
 
 
 def hinge(x: Array, knot: float) -> Array:

@@ -79,8 +79,7 @@ def _spread(values: Array) -> Array:
 
 
 def _about_rest(values: Array) -> Array:
-    size = float(np.percentile(np.abs(values), REACH[1]))
-    return size * np.array([*(-h for h in reversed(HALF)), 0.0, *HALF])
+    return float(np.percentile(np.abs(values), REACH[1])) * np.array([*(-h for h in reversed(HALF)), 0.0, *HALF])
 
 
 def _free(like: Hypothesis, x: Array, scale: float, family: str) -> Hypothesis:

@@ -11,8 +11,7 @@ import numpy as np
 
 from afdsvc.api.physics import Hypothesis, Machine, Physics
 from afdsvc.explain.gap.finding import Gap
-from afdsvc.explain.noise.surrogates import chance
-from afdsvc.explain.noise.weighting import differing, noise_share
+from afdsvc.explain.noise.weighting import noise_share
 from afdsvc.explain.search.base import Settled, otherwise_between
 from afdsvc.explain.search.evidence import (
     HypothesisEvidence,
@@ -31,7 +30,6 @@ from afdsvc.explain.search.path import (
     bases,
     coarse,
     converged,
-    ends,
     exchanged_path,
     fewer_path,
     kept_promises,
@@ -53,9 +51,8 @@ from afdsvc.explain.search.ranking import (
     vote_shares,
     winner,
 )
-from afdsvc.explain.search.screen import Screen, Screened
+from afdsvc.explain.search.screen import shortlist
 from afdsvc.explain.settings import Mapper
-from afdsvc.lti.statespace import Array
 from afdsvc.stats.spectral_peaks import peaks
 from afdsvc.stats.tones import tones
 
@@ -126,7 +123,7 @@ def search(
         if number and rounds.exhausted(path):
             break
         seen = _seen(problem, path, limited)
-        present = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
+        present = _keys(path)
         offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in present and mechanism(h) not in excluded]
         rounds = replace(rounds, progress=partial(_within, progress, f"round {len(steps) + 1}", number / problem.settings.effects, 1 / problem.settings.effects))
         step = rounds.next(path, rough, offered, number > 0)
@@ -152,6 +149,7 @@ def search(
         if choose and (otherwise := otherwise_between(problem, path)) is not None:
             return Found(problem, start, path, seen, tuple(steps), limited, whole.over(path, start, 0), otherwise)
     path, steps = _helpful(whole, *whole.exchanged(path, steps), better)
+    steps = [_followed(problem, step, path, better) if step.accepted else step for step in steps]
     return Found(problem, start, path, seen, tuple(steps), limited, whole.over(path, start, 0))
 
 
@@ -163,7 +161,7 @@ def _within(progress: Progress, where: str, begin: float, length: float, what: s
 def _kept(steps: Sequence[Round], path: dict[float, Fit]) -> list[Round]:
     """Return the rounds, not accepted where a later one left nothing for their effect; of an effect that was found again the last."""
     last = {s.candidates[0].hypothesis.key: s for s in steps if s.accepted}
-    kept = {e.hypothesis.key for e in list(path.values())[-1].point.effects}
+    kept = _keys(path)
     gone = [s.accepted and not (s.candidates[0].hypothesis.key in kept and s is last[s.candidates[0].hypothesis.key]) for s in steps]
     why = "{}: nothing is left for it beside the other effects"
     return [replace(s, accepted=False, reason=why.format(s.candidates[0].hypothesis.title)) if g else s for s, g in zip(steps, gone, strict=True)]
@@ -181,6 +179,19 @@ def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Better)
                 why = f"{step.candidates[0].hypothesis.title}: the recordings held out are followed better without it"
                 path, found[k] = fewer, replace(step, accepted=False, reason=why)
     return path, [*(s for s in found if s.accepted), *(s for s in found if not s.accepted)]
+
+
+def _followed(problem: Problem, step: Round, path: Path, better: Better) -> Round:
+    """Return a round without look-alikes beside which, all other effects the same, the recordings held out are surely followed worse; the more there
+    are, the surer (Bonferroni)."""
+    alike = look_alikes(step.candidates, problem.settings, step.limited)
+    level, others = 1 - (1 - problem.settings.sure) / max(1, len(alike) - 1), _keys(path) - {alike[0].hypothesis.key}
+    worse = [mechanism(c.hypothesis) for c in alike[1:] if _keys(c.path) - {c.hypothesis.key} == others and better(problem, c.path, path) > level]
+    return replace(step, candidates=tuple(c for c in step.candidates if mechanism(c.hypothesis) not in worse))
+
+
+def _keys(path: Path) -> set[str]:
+    return {e.hypothesis.key for e in list(path.values())[-1].point.effects}
 
 
 def _seen(problem: Problem, path: dict[float, Fit], limited: str) -> Machine:
@@ -242,9 +253,9 @@ class Rounds(Settled):
         promising hypotheses are fitted, samples count by what the best of them leaves.
         """
         p, s = self.part, self.problem.settings
-        shortlist, by_chance = _shortlist(p, rough, offered, [partial(self.mapped, "screening", k / 10, (k + 1) / 10) for k in range(2)], p.effort * s.refined)
+        chosen, by_chance = shortlist(p, rough, offered, [partial(self.mapped, "screening", k / 10, (k + 1) / 10) for k in range(2)], p.effort * s.refined)
         begin = bases(p, rough, self.taus)
-        trials = self.mapped("trying", 0.2, 0.4, partial(trial, p, begin, self.taus, starts=STARTS), shortlist)
+        trials = self.mapped("trying", 0.2, 0.4, partial(trial, p, begin, self.taus, starts=STARTS), chosen)
         tried = promising(trials, p.effort * s.polished, s.likely)
         begun = self.mapped("fitting", 0.4, 0.6, partial(added_path, p, rough, self.taus), tried)
         taus = noise_times([rough, *begun])
@@ -262,10 +273,8 @@ class Rounds(Settled):
             found.append(Candidate(h, q, self.evidence(q, path, h, counted), {k: replace(f, J=f.J[:0]) for k, f in r.items()}))
         ranked, limited = self.ranked(found)
         step, others = _decided(ranked, limited, self, by_chance, further), [c for c in ranked if mechanism(c.hypothesis) != mechanism(ranked[0].hypothesis)]
-        sure = next((c for c in others if is_reason(c, limited) and in_no_doubt(c, s)), None)
-        if sure is None or not (further and step.reason):
-            return step
-        return replace(step, instead=_decided([sure, *(c for c in others if c is not sure)], limited, self, by_chance, further))
+        sure = next((c for c in others if is_reason(c, limited) and in_no_doubt(c, s)), None) if further else None
+        return step if sure is None else replace(step, instead=_decided([sure, *(c for c in others if c is not sure)], limited, self, by_chance, further))
 
     def accepted(self, first: Candidate) -> tuple[dict[float, Fit], dict[float, Fit]]:
         """Return the path with a candidate and without effects that do not pay beside it, fitted to convergence, and its rough one.
@@ -343,36 +352,6 @@ class Rounds(Settled):
             if self.evidence(path, fewer, path[last].point.effects[k].hypothesis).gain < self.problem.settings.evidence / 2:
                 path = fewer
         return path
-
-
-def _shortlist(
-    problem: Problem, path: dict[float, Fit], offered: Sequence[Hypothesis], mappers: Sequence[Mapper], count: int
-) -> tuple[list[dict[float, Screened]], dict[float, float]]:
-    """Return the ``count`` hypotheses that promise most at the strongest or the weakest correction, and what chance promises there.
-
-    ``mappers`` are one for each of these ends. What chance promises is the largest gain of any hypothesis, to first order, that is expected on surrogates of the residual.
-    """
-    found: dict[str, dict[float, Screened]] = {}
-    chosen: list[str] = []
-    by_chance: dict[float, float] = {}
-    for h, mapper in zip(ends(path), mappers, strict=False):
-        screen = Screen(problem, path[h], h)
-        screened = sorted(mapper(screen, offered), key=lambda x: -x.fall)
-        for x in screened:
-            found.setdefault(x.hypothesis.key, {})[h] = x
-        chosen += [x.hypothesis.key for x in screened[:count]]
-        directions = np.array([x.starts[0].direction for x in screened]).reshape(len(screened), len(screen.scale))
-        rng = np.random.default_rng(len(offered))
-        by_chance[h] = 2 * chance(_noise(problem, path[h]), [len(r) for r in problem.runs], directions, screen.scale, problem.settings.surrogates, rng)
-    return [found[k] for k in dict.fromkeys(chosen)], by_chance
-
-
-def _noise(problem: Problem, base: Fit) -> list[Array]:
-    """Return the noise of every run: what differs between periods of the residual where noise limits, else the residual."""
-    if problem.weighting.even:
-        return list(base.residuals)
-    noise = [differing(r, e) for r, e in zip(problem.runs, base.residuals, strict=True)]
-    return [e if d is None else d for d, e in zip(noise, base.residuals, strict=True)]
 
 
 def _decided(ranked: list[Candidate], limited: str, rounds: Rounds, by_chance: dict[float, float], further: bool) -> Round:

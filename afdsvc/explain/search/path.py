@@ -11,7 +11,7 @@ from afdsvc.api.physics import Hypothesis
 from afdsvc.explain.search.fit import CONVERGED, ENOUGH, Coordinates, Fit, borrowed, column_counts, fit, rms, weighted
 from afdsvc.explain.search.problem import Point, Problem
 from afdsvc.explain.search.ranking import complexity, is_constant, mechanism
-from afdsvc.explain.search.screen import Screened, Start
+from afdsvc.explain.search.screen import Screened, Start, ends
 from afdsvc.explain.simulate.effects import PlacedEffect
 
 FINER = 4  # sub-steps of a sample that laws of lags and delays take
@@ -75,12 +75,6 @@ def _begin(problem: Problem, base: Fit, start: Start, horizon: float) -> Point:
 def _nearer(problem: Problem, points: Sequence[Point], horizon: float) -> Point:
     """Return the point that leaves the smaller residual."""
     return min(points, key=lambda p: float(np.log(rms(weighted(problem, p, horizon))).sum()))
-
-
-def ends(path: Mapping[float, Fit]) -> list[float]:
-    """Return the strongest and the weakest correction of a path, one where they are the same."""
-    horizons = list(path)
-    return list(dict.fromkeys([horizons[0], horizons[-1]]))
 
 
 def added_path(problem: Problem, base: Mapping[float, Fit], taus: Taus, tried: Trial) -> dict[float, Fit]:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from afdsvc.api.physics import Hypothesis
+from afdsvc.explain.noise.surrogates import chance
+from afdsvc.explain.noise.weighting import differing
 from afdsvc.explain.search.fit import STEP, Coordinates, Fit, weighted
 from afdsvc.explain.search.problem import Problem
 from afdsvc.explain.search.ranking import is_constant
+from afdsvc.explain.settings import Mapper
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.lti.statespace import Array
 
@@ -128,3 +131,39 @@ class Screen:
         shifts = np.column_stack([self.shift(d) for d in columns])
         G, g = (D + self.J @ shifts).T @ D, D.T @ self.e
         return D, shifts, G, g, -np.linalg.lstsq(G + 1e-12 * np.trace(G) * np.eye(len(G)), g, rcond=1e-12)[0]
+
+
+def ends(path: Mapping[float, Fit]) -> list[float]:
+    """Return the strongest and the weakest correction of a path, one where they are the same."""
+    horizons = list(path)
+    return list(dict.fromkeys([horizons[0], horizons[-1]]))
+
+
+def shortlist(
+    problem: Problem, path: dict[float, Fit], offered: Sequence[Hypothesis], mappers: Sequence[Mapper], count: int
+) -> tuple[list[dict[float, Screened]], dict[float, float]]:
+    """Return the ``count`` hypotheses that promise most at the strongest or the weakest correction, and what chance promises there.
+
+    ``mappers`` are one for each of these ends. What chance promises is the largest gain of any hypothesis, to first order, that is expected on surrogates of the residual.
+    """
+    found: dict[str, dict[float, Screened]] = {}
+    chosen: list[str] = []
+    by_chance: dict[float, float] = {}
+    for h, mapper in zip(ends(path), mappers, strict=False):
+        screen = Screen(problem, path[h], h)
+        screened = sorted(mapper(screen, offered), key=lambda x: -x.fall)
+        for x in screened:
+            found.setdefault(x.hypothesis.key, {})[h] = x
+        chosen += [x.hypothesis.key for x in screened[:count]]
+        directions = np.array([x.starts[0].direction for x in screened]).reshape(len(screened), len(screen.scale))
+        rng = np.random.default_rng(len(offered))
+        by_chance[h] = 2 * chance(_noise(problem, path[h]), [len(r) for r in problem.runs], directions, screen.scale, problem.settings.surrogates, rng)
+    return [found[k] for k in dict.fromkeys(chosen)], by_chance
+
+
+def _noise(problem: Problem, base: Fit) -> list[Array]:
+    """Return the noise of every run: what differs between periods of the residual where noise limits, else the residual."""
+    if problem.weighting.even:
+        return list(base.residuals)
+    noise = [differing(r, e) for r, e in zip(problem.runs, base.residuals, strict=True)]
+    return [e if d is None else d for d, e in zip(noise, base.residuals, strict=True)]

@@ -113,7 +113,8 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
         error = _error(play, runs, final.point)
         without = _without(found, verdict, refitted < stated)
         sure = play.better(runs, without, final.point) if error < 1.0 else 0.0
-        shown, alone = sure > found.problem.settings.sure, _rests_on_holdout(found, verdict)
+        shown, w = sure > found.problem.settings.sure, found.problem.weighting
+        alone = not (w.measured or (w.even and verdict.gap.present) or is_constant(first))  # neither known noise nor the gap test shows a gap
         held = (
             f"on the recordings held out the error is {100 * error:.3g} % with {first.title}, {100 * stated:.3g} % with the model as stated "
             f"and {100 * refitted:.3g} % with its numbers refitted"
@@ -128,12 +129,6 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
     if refitted <= WORSE * stated:
         return HeldOutVerdict(verdict, found.start[last], unconfirmed)
     return HeldOutVerdict(verdict, fit(found.problem, found.problem.start(), last, found.start[last].tau, iterations=0), unconfirmed)
-
-
-def _rests_on_holdout(found: Found, verdict: Verdict) -> bool:
-    """Whether neither noise that is known nor a flexible model's prediction of the plain residual shows that there is a gap."""
-    w = found.problem.weighting
-    return not (w.measured or (w.even and verdict.gap.present) or is_constant(verdict.claims[0].candidate.hypothesis))
 
 
 def _with(found: Found, keys: set[str]) -> Fit:
