@@ -107,6 +107,8 @@ def prepare(model: Model, traces: Sequence[Trace]) -> list[Run]:
         )
     for trace in traces:
         require_sizes(trace)
+    if (samples := sum(map(len, traces))) < FEWEST:
+        raise BadInput(f"{', '.join(t.name for t in traces)}: {samples} samples; expected at least {FEWEST}")
     labels = tuple(sorted({c.label for t in traces for c in t.channels if c.role == "aux"}))
     return _on_one_clock([_run(model, trace, labels) for trace in traces])
 
@@ -167,8 +169,8 @@ def _run(model: Model, trace: Trace, labels: tuple[str, ...]) -> Run:
     U = np.column_stack([np.zeros((len(trace), 0)), *(trace.column(f"u_{v.name}") for v in model.inputs)])
     Y = np.column_stack([trace.column(f"y_{v.name}") for v in model.outputs])
     n = len(trace)
-    if n < 50:
-        raise BadInput(f"{trace.name}: {n} samples; expected at least 50")
+    if n < SHORTEST:
+        raise BadInput(f"{trace.name}: {n} samples; expected at least {SHORTEST}")
     if not np.isfinite(U).all():
         at = int(np.argwhere(~np.isfinite(U).all(1))[0, 0])
         raise BadInput(f"{trace.name}: an input is missing at sample {at}; expected inputs without gaps (cut the recording there)")
@@ -240,6 +242,7 @@ def _driver(trace: Trace, U: Array, REF: Array) -> Array:
     return U
 
 
+FEWEST, SHORTEST = 50, 16  # samples of all recordings together, and of one
 EXACT = 1e-6  # difference between periods, over the power, of a signal that was computed and not measured
 
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.api.model import Variable
-from afdsvc.dataset.experiment import Run
+from afdsvc.dataset.experiment import FEWEST, Run
 from afdsvc.dataset.units import with_unit
+from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
 
 HELD_SHARE = 1 / 3  # of a single recording
@@ -30,10 +31,15 @@ class Split:
 
 
 def split(runs: Sequence[Run], holdout: Sequence[Run]) -> Split:
-    """Return the roles: the holdout as given, else the last recording in which every output moves, or the last third of the only one."""
+    """Return the roles: the holdout as given, else the last recording in which every output moves, or the last third of the only one.
+
+    Raises `BadInput` where what is given to be held out has fewer than `FEWEST` samples.
+    """
     if holdout:
+        if (samples := sum(map(len, holdout))) < FEWEST:
+            raise BadInput(f"{', '.join(r.name for r in holdout)}: {samples} samples to be held out; expected at least {FEWEST}")
         return Split(tuple(runs), tuple(holdout))
-    last = [r for r in runs if not still(r.Y).any()] or [runs[-1]]
+    last = [r for r in runs if len(r) >= FEWEST and not still(r.Y).any()] or [runs[-1]]
     others = tuple(r for r in runs if r is not last[-1])
     if len(last) > 1:
         return Split(others, (last[-1],))

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import joined, prepare
+from afdsvc.dataset.split import split
 from afdsvc.errors import BadInput
 from afdsvc.identify.pipeline import planned
 from afdsvc.lti.statespace import StateSpace
@@ -137,3 +138,25 @@ def test_laws_see_recordings_one_after_the_other(begin, seen):
     assert [r.begins for r in runs] == pytest.approx(seen)
     assert runs[1].span(100, 200).begins == pytest.approx(seen[1] + 100 * DT)
     assert [r.t0 for r in runs] == list(begin)
+
+
+def moving(samples: int) -> Trace:
+    return Trace(f"of {samples}", 0.01, (Channel("u_force"), Channel("y_place")), np.random.default_rng(samples).standard_normal((samples, 2)))
+
+
+def test_a_short_recording_counts_beside_others():
+    runs = prepare(model(False), [moving(16), moving(40)])
+    assert [len(r) for r in runs] == [16, 40]
+    with pytest.raises(BadInput, match="of 15: 15 samples; expected at least 16"):
+        prepare(model(False), [moving(15), moving(40)])
+    with pytest.raises(BadInput, match="of 16, of 33: 49 samples; expected at least 50"):
+        prepare(model(False), [moving(16), moving(33)])
+
+
+def test_what_is_held_out_has_fifty_samples_together():
+    long = prepare(model(False), [moving(200)])
+    assert [len(r) for r in split(long, prepare(model(False), [moving(16), moving(34)])).heldout] == [16, 34]
+    with pytest.raises(BadInput, match="of 51: 49 samples to be held out; expected at least 50"):
+        split(long, [r.span(0, 49) for r in prepare(model(False), [moving(51)])])
+    chosen = split(prepare(model(False), [moving(200), moving(60), moving(16)]), [])
+    assert ([len(r) for r in chosen.train], [len(r) for r in chosen.heldout]) == ([200, 16], [60])
