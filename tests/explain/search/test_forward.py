@@ -166,7 +166,7 @@ def test_a_further_effect_that_recordings_held_out_follow_worse_is_not_accepted(
     model = motor.model()
     traces = [motor.recording(60.0, s, name=f"r{s}") for s in (1, 2)]
     late = [replace(t, values=np.column_stack([t.values[:, 0], np.roll(t.values[:, 1], 5)])) for t in traces]
-    base = settled(build(nominal(model, motor.DT), prepare(model, late), Settings()))
+    base = settled(build(nominal(model, motor.DT), prepare(model, late), Settings(effects=2)))
     both, one = (search(base, LIBRARY, better=lambda problem, before, after, sure=sure: sure) for sure in (0.5, 0.0))
     assert (both.effects, one.effects) == (2, 1)
     assert any("recordings held out" in s.reason for s in one.steps[1:])
@@ -194,7 +194,7 @@ def test_where_recordings_held_out_refute_a_further_effect_the_next_that_is_in_n
         return 0.0 if first and mechanism(after[0.0].point.effects[-1].hypothesis) in first else 0.5
 
     monkeypatch.setattr(forward, "_decided", seen)
-    found = search(settled(build(nominal(model, motor.DT), prepare(model, late), Settings())), [*LIBRARY, ActuatorLag()], better=better)
+    found = search(settled(build(nominal(model, motor.DT), prepare(model, late), Settings(effects=2))), [*LIBRARY, ActuatorLag()], better=better)
     refuted = next(s for s in found.steps if not s.accepted and mechanism(s.candidates[0].hypothesis) in first)
     instead = next(s for s in found.steps[1:] if s.accepted)
     assert ("in doubt" if in_doubt else "recordings held out") in refuted.reason
