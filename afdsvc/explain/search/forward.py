@@ -123,13 +123,13 @@ def search(
         if number and rounds.exhausted(path):
             break
         seen = _seen(problem, path, limited)
-        present = _keys(path)
-        offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in present and mechanism(h) not in excluded]
+        offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in _keys(path) and mechanism(h) not in excluded]
         rounds = replace(rounds, progress=partial(_within, progress, f"round {len(steps) + 1}", number / problem.settings.effects, 1 / problem.settings.effects))
         step = rounds.next(path, rough, offered, number > 0)
         more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
-        while step.accepted and (step.reason or number) and not better(problem, path, more[0]) > (problem.settings.sure if step.reason else 0.0):
-            refuted = replace(step, accepted=False, reason=step.reason or f"{step.candidates[0].hypothesis.title}: the recordings held out are followed worse with it")
+        while step.accepted and (_ended(more[0]) or ((step.reason or number) and not better(problem, path, more[0]) > (problem.settings.sure if step.reason else 0.0))):
+            why = "its fit ends where it means something else" if _ended(more[0]) else "the recordings held out are followed worse with it"
+            refuted = replace(step, accepted=False, reason=step.reason or f"{step.candidates[0].hypothesis.title}: {why}")
             steps, step = (steps, refuted) if step.instead is None else ([*steps, refuted], step.instead)
             more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
         steps.append(step)
@@ -161,8 +161,7 @@ def _within(progress: Progress, where: str, begin: float, length: float, what: s
 def _kept(steps: Sequence[Round], path: dict[float, Fit]) -> list[Round]:
     """Return the rounds, not accepted where a later one left nothing for their effect; of an effect that was found again the last."""
     last = {s.candidates[0].hypothesis.key: s for s in steps if s.accepted}
-    kept = _keys(path)
-    gone = [s.accepted and not (s.candidates[0].hypothesis.key in kept and s is last[s.candidates[0].hypothesis.key]) for s in steps]
+    gone = [s.accepted and not (s.candidates[0].hypothesis.key in _keys(path) and s is last[s.candidates[0].hypothesis.key]) for s in steps]
     why = "{}: nothing is left for it beside the other effects"
     return [replace(s, accepted=False, reason=why.format(s.candidates[0].hypothesis.title)) if g else s for s, g in zip(steps, gone, strict=True)]
 
@@ -171,8 +170,7 @@ def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Better)
     """Return the path and the rounds without effects that the recordings held out are likely followed better without, beside the others."""
     found = list(steps)
     for k, step in enumerate(found):
-        effects = list(path.values())[-1].point.effects
-        at = [i for i, e in enumerate(effects) if step.accepted and e.hypothesis.key == step.candidates[0].hypothesis.key]
+        at = [i for i, e in enumerate(list(path.values())[-1].point.effects) if step.accepted and e.hypothesis.key == step.candidates[0].hypothesis.key]
         if at and sum(s.accepted for s in found) > 1:
             fewer = fewer_path(rounds.problem, path, rounds.taus, at[0])
             if better(rounds.problem, path, fewer) > rounds.problem.settings.probable:
@@ -182,12 +180,18 @@ def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Better)
 
 
 def _followed(problem: Problem, step: Round, path: Path, better: Better) -> Round:
-    """Return a round without look-alikes beside which, all other effects the same, the recordings held out are surely followed worse; the more there
+    """Return a round without look-alikes with which, all other effects the same, the recordings held out are surely followed worse; the more there
     are, the surer (Bonferroni)."""
     alike = look_alikes(step.candidates, problem.settings, step.limited)
     level, others = 1 - (1 - problem.settings.sure) / max(1, len(alike) - 1), _keys(path) - {alike[0].hypothesis.key}
     worse = [mechanism(c.hypothesis) for c in alike[1:] if _keys(c.path) - {c.hypothesis.key} == others and better(problem, c.path, path) > level]
     return replace(step, candidates=tuple(c for c in step.candidates if mechanism(c.hypothesis) not in worse))
+
+
+def _ended(path: Path) -> bool:
+    """Whether the last effect of a path is at the end of a range that decides what it is."""
+    effects = list(path.values())[-1].point.effects[-1:]
+    return any(c.decisive and v >= AT_END * c.high for e in effects for c, v in zip(e.hypothesis.parameters, e.values, strict=True))
 
 
 def _keys(path: Path) -> set[str]:
@@ -198,8 +202,7 @@ def _seen(problem: Problem, path: dict[float, Fit], limited: str) -> Machine:
     """Return the machine along the final fit of a path, with the lines and peaks of its residual."""
     last = list(path)[-1]
     residuals = problem.residuals(path[last].point, last)
-    lines = [t.omega for t in tones(problem.runs, residuals)]
-    return machine(problem, path[last], last, lines, peaks(problem.runs, residuals, 2 * bandwidth(problem.runs)), limited)
+    return machine(problem, path[last], last, [t.omega for t in tones(problem.runs, residuals)], peaks(problem.runs, residuals, 2 * bandwidth(problem.runs)), limited)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,8 +257,7 @@ class Rounds(Settled):
         """
         p, s = self.part, self.problem.settings
         chosen, by_chance = shortlist(p, rough, offered, [partial(self.mapped, "screening", k / 10, (k + 1) / 10) for k in range(2)], p.effort * s.refined)
-        begin = bases(p, rough, self.taus)
-        trials = self.mapped("trying", 0.2, 0.4, partial(trial, p, begin, self.taus, starts=STARTS), chosen)
+        trials = self.mapped("trying", 0.2, 0.4, partial(trial, p, bases(p, rough, self.taus), self.taus, starts=STARTS), chosen)
         tried = promising(trials, p.effort * s.polished, s.likely)
         begun = self.mapped("fitting", 0.4, 0.6, partial(added_path, p, rough, self.taus), tried)
         taus = noise_times([rough, *begun])
@@ -266,11 +268,9 @@ class Rounds(Settled):
         self.mapped("leaving out blocks", 0.9, 1.0, lambda path: self.block_losses(path, list(counted.values())[-1]), fitted)
         found = []
         for r, q in zip(begun, fitted, strict=True):
-            effect = list(q.values())[-1].point.effects[-1]
-            h = effect.hypothesis
-            if any(c.decisive and v >= AT_END * c.high for c, v in zip(h.parameters, effect.values, strict=True)):
-                continue
-            found.append(Candidate(h, q, self.evidence(q, path, h, counted), {k: replace(f, J=f.J[:0]) for k, f in r.items()}))
+            h = list(q.values())[-1].point.effects[-1].hypothesis
+            if not _ended(q):
+                found.append(Candidate(h, q, self.evidence(q, path, h, counted), {k: replace(f, J=f.J[:0]) for k, f in r.items()}))
         ranked, limited = self.ranked(found)
         step, others = _decided(ranked, limited, self, by_chance, further), [c for c in ranked if mechanism(c.hypothesis) != mechanism(ranked[0].hypothesis)]
         sure = next((c for c in others if is_reason(c, limited) and in_no_doubt(c, s)), None) if further else None

@@ -84,6 +84,15 @@ def test_a_law_that_ends_at_the_limit_of_what_it_means_is_not_compared(decisive)
     assert ("coulomb_friction" in {c.hypothesis.physics for c in candidates}) != decisive
 
 
+def test_a_law_that_ends_there_once_its_fit_converged_is_not_accepted(monkeypatch):
+    """Compared while it was short of the limit, it goes on to it as it is accepted."""
+    asked = []
+    monkeypatch.setattr(forward, "_ended", lambda path: asked.append(path) or len(asked) > 1)  # the first shape is compared, the others are not, and what was accepted ends there
+    steps = search(settled(problem(60.0)), [CoulombFriction()], better=lambda *paths: 1.1).steps
+    assert [s.accepted for s in steps] == [False]
+    assert "ends where it means something else" in steps[0].reason
+
+
 def test_samples_count_by_what_the_best_hypothesis_leaves(found):
     """Friction that is missing makes the residual correlated for longer than the noise; the fits with it do not count by that."""
     start, first, end = found.start[0.0], found.steps[0].candidates[0].fit, found.end[0.0]
