@@ -27,11 +27,12 @@ STEPS = np.repeat(np.random.default_rng(1).uniform(-1, 1, N // 50), 50)
     [
         ([_sine(1.0)], True, "one sine (1 Hz)"),
         ([_sine(1.0), _sine(1.0, 2.0)], True, "one sine"),
+        ([_sine(1.0), _sine(1 / 0.99)], True, "one sine"),
         ([_sine(1.0), _sine(2.0)], True, "two sines (1 and 2 Hz)"),
         ([_sine(1.0), _sine(2.0), _sine(4.0)], False, "3 lines from 1 to 4 Hz"),
         ([_sine(1.0), STEPS], False, "non-periodic"),
     ],
-    ids=["one", "one at two levels", "two", "three", "a loud sine and steps"],
+    ids=["one", "one at two levels", "nearly one", "two", "three", "a loud sine and steps"],
 )
 def test_one_frequency_is_said_of_all_recordings_together(inputs, sines, said):
     plant = StateSpace(-np.eye(1), np.eye(1), np.eye(1), np.zeros((1, 1)))

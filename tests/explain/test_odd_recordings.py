@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -202,5 +203,7 @@ def test_what_a_motion_without_reversal_cannot_separate_is_named_together(fricti
         return
     assert set(named) == {"coulomb_friction", "constant_load", "sensor_offset"}
     assert max(n.weight for n in named.values()) < 0.5
+    (refitted,) = [float(m[1]) for m in (re.search(r"and ([\d.]+) % with its numbers refitted", said) for said in answer.sentences) if m]
+    assert refitted > 10  # about zero: with an offset it would leave as little as the names do
     assert named["coulomb_friction"].parameters["force"].value == pytest.approx(friction, rel=0.02)
     assert named["constant_load"].parameters["force"].value == pytest.approx(-friction, rel=0.02)

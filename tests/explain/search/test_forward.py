@@ -15,7 +15,7 @@ from afdsvc.explain.search import forward, path
 from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.evidence import HypothesisEvidence, block_spans, noise_times, refitted
-from afdsvc.explain.search.fit import Coordinates, fit, jacobian, weighted
+from afdsvc.explain.search.fit import Coordinates, fit, jacobian, priced, weighted
 from afdsvc.explain.search.forward import search
 from afdsvc.explain.search.machine import hypotheses, machine
 from afdsvc.explain.search.path import Trial, bases, kept_promises, promising, trial
@@ -99,6 +99,13 @@ def test_samples_count_by_what_the_best_hypothesis_leaves(found):
     assert start.tau > 2 * end.own_tau
     assert first.tau == pytest.approx(first.own_tau, rel=0.2)
     assert end.tau == pytest.approx(end.own_tau, rel=0.2)
+
+
+@pytest.mark.parametrize(("force", "rounding", "paid"), [(100.0, 2.0, 2), (100.0, 0.5, 1), (0.5, 0.5, 1)])
+def test_a_nuisance_that_the_recordings_say_nothing_of_costs_nothing(found, force, rounding, paid):
+    end = found.end[0.0]
+    information = np.diag([1.0] * (end.shared - 2) + [force, rounding])
+    assert priced(found.problem, replace(end, H=information), end.point.effects[-1].hypothesis) == paid
 
 
 def test_its_weight_counts_resampled_blocks(found):

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.simulate.simulator import Simulator
@@ -29,6 +30,10 @@ def between(p, z, m, dt, out):
     force = p[0] * math.tanh((z[0] - z[1]) / (p[1] + p[0] * dt))
     out[0] -= force
     out[1] += 5 * force
+
+
+def stribeck(p, z, m, dt, out):
+    out[0] -= (p[0] + p[2] * math.exp(-((z[0] / p[3]) ** 2))) * math.tanh(z[0] / (p[1] + p[0] * dt))
 
 
 class Motor:
@@ -73,6 +78,32 @@ def test_sliding_follows_the_exact_solution(model, recording, effect):
     v = speeds(model(MOTOR), recording(U), [friction], [0.0])[:, 0]
     exact = held(lambda x, u: -2 * x + 50 * u - 100 * np.tanh(x / 1e-2), U)
     assert np.sqrt(np.mean((v - exact) ** 2)) < 5e-3 * exact.std()
+
+
+@pytest.mark.parametrize(("law", "numbers"), [(coulomb, [100.0, 1e-4]), (coulomb, [100.0, 5.0]), (stribeck, [60.0, 0.5, 60.0, 10.0])], ids=["sharp", "rounded", "falling"])
+@pytest.mark.parametrize("level", [6.0, 2.1])
+def test_the_implicit_force_is_that_of_a_root_search_between_the_ends(model, recording, effect, law, numbers, level):
+    """By Brent's method in every step, from scratch; a force that would grow beyond the one without it is that of one evaluation."""
+    U = np.repeat(np.random.default_rng(5).uniform(-level, level, 40), 25)[:, None]
+    v = speeds(model(MOTOR), recording(U), [effect(law, "force", [("x", 0)], [("x", 0)], numbers, "friction")], [0.0])[:, 0]
+    phi, x, expected = math.exp(-2.0 * 0.01), 0.0, []
+
+    def force(speed):
+        out = np.zeros(1)
+        law(numbers, [speed], None, 1e-3 * 0.01, out)
+        return out[0]
+
+    for u in U[:, 0]:
+        expected.append(x)
+        free = phi * x + 25.0 * (1 - phi) * u
+        first, gain = force(x + 0.75 * (free - x)), (1 - phi) / 2
+
+        def excess(r, x=x, free=free, first=first, gain=gain):
+            return force(x + 0.75 * (free + r * first * gain - x)) / first - r
+
+        r = 0.0 if first == 0 else min(1 + excess(1.0), 1.5) if excess(1.0) > -1e-6 else brentq(excess, 0.0, 1.0, xtol=1e-15, rtol=1e-14)
+        x = free + r * first * gain
+    assert np.abs(v - expected).max() < 1e-7 * np.abs(expected).max()
 
 
 def held(rate, U):
