@@ -133,7 +133,7 @@ def rejections(found: Found, claimed: Sequence[Hypothesis], error: Callable[[Poi
     listed: dict[tuple[str, str], Rejected] = {}
     named = {(h.physics, h.site) for h in claimed}
     for step in found.steps:
-        for c in [c for c in step.candidates if (c.hypothesis.physics, c.hypothesis.site) not in named][:MOST_REJECTED]:
+        for c in [c for c in (*step.worse, *step.candidates) if (c.hypothesis.physics, c.hypothesis.site) not in named][:MOST_REJECTED]:
             h = c.hypothesis
             if (h.physics, h.site) not in listed:
                 listed[h.physics, h.site] = Rejected(h.physics, h.site, error(c.fit.point), _why(c, step))
@@ -144,6 +144,8 @@ def _why(c: Candidate, step: Round) -> str:
     """Return why a candidate is not claimed: what the accepted one does better, or what it lacks."""
     best = step.candidates[0]
     closes = f"closes {100 * c.evidence.explained:.0f} % of the gap" if c.evidence.explained > 0 else "closes nothing of the gap"
+    if c in step.worse:
+        return f"{closes} on left-out blocks; the recordings held out are surely followed worse with it than with {best.hypothesis.title}"
     if not step.accepted:
         return f"{closes}; {step.reason}" if c is best else f"{closes}, less than {best.hypothesis.title}, which is not accepted either"
     if c is best:

@@ -67,13 +67,15 @@ STARTS = 2  # of every hypothesis that are tried, by what they promise
 @dataclass(frozen=True, slots=True, eq=False)
 class Round:
     """One round: the candidates, best first; whether the first was accepted, and why not; of an accepted one, why only the recordings held out could
-    confirm it, and, of a further effect, what is decided ``instead`` where they do not. ``limited`` says what limits the best fit: "noise" or "model"."""
+    confirm it, and, of a further effect, what is decided ``instead`` where they do not. ``limited`` says what limits the best fit: "noise" or "model".
+    ``worse`` are look-alikes with which those recordings are surely followed worse."""
 
     candidates: tuple[Candidate, ...]
     accepted: bool
     limited: str
     reason: str = ""
     instead: Round | None = None
+    worse: tuple[Candidate, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +130,7 @@ def search(
         step = rounds.next(path, rough, offered, number > 0)
         more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
         while step.accepted and (_ended(more[0]) or ((step.reason or number) and not better(problem, path, more[0]) > (problem.settings.sure if step.reason else 0.0))):
-            why = "its fit ends where it means something else" if _ended(more[0]) else "the recordings held out are followed worse with it"
+            why = "its fit ends at the limit of what it means" if _ended(more[0]) else "the recordings held out are followed worse with it"
             refuted = replace(step, accepted=False, reason=step.reason or f"{step.candidates[0].hypothesis.title}: {why}")
             steps, step = (steps, refuted) if step.instead is None else ([*steps, refuted], step.instead)
             more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
@@ -180,12 +182,13 @@ def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Better)
 
 
 def _followed(problem: Problem, step: Round, path: Path, better: Better) -> Round:
-    """Return a round without look-alikes with which, all other effects the same, the recordings held out are surely followed worse; the more there
-    are, the surer (Bonferroni)."""
+    """Return a round with the look-alikes apart with which, all other effects the same, the recordings held out are surely followed worse; the more
+    there are, the surer (Bonferroni)."""
     alike = look_alikes(step.candidates, problem.settings, step.limited)
     level, others = 1 - (1 - problem.settings.sure) / max(1, len(alike) - 1), _keys(path) - {alike[0].hypothesis.key}
     worse = [mechanism(c.hypothesis) for c in alike[1:] if _keys(c.path) - {c.hypothesis.key} == others and better(problem, c.path, path) > level]
-    return replace(step, candidates=tuple(c for c in step.candidates if mechanism(c.hypothesis) not in worse))
+    apart = tuple(c for c in step.candidates if mechanism(c.hypothesis) in worse)
+    return replace(step, candidates=tuple(c for c in step.candidates if c not in apart), worse=apart)
 
 
 def _ended(path: Path) -> bool:

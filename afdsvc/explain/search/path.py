@@ -168,21 +168,14 @@ def promising(tried: Sequence[Trial], count: int, likely: float) -> list[Trial]:
     at the strongest, and of every mechanism among them the simplest shape. The first of ``count`` different laws or places are among them, too: shapes
     of one do not crowd out others."""
     ordered = sorted(tried, key=lambda t: -t.falls[-1])
-    first = [*ordered[:count], *_each_law(ordered)[:count]]
+    laws = dict.fromkeys((t.hypothesis.physics, t.hypothesis.site) for t in ordered)
+    first = [*ordered[:count], *(next(t for t in ordered if (t.hypothesis.physics, t.hypothesis.site) == law) for law in [*laws][:count])]
     chosen = [t for t in ordered if t in first or 2 * (ordered[0].falls[-1] - t.falls[-1]) < likely]
     chosen += [t for t in sorted(tried, key=lambda t: -t.falls[0])[:count] if t not in chosen][: count // 2]
     for kind in {mechanism(t.hypothesis): None for t in chosen}:
         shapes = [t for t in tried if mechanism(t.hypothesis) == kind]
         chosen.append(min(shapes, key=lambda t: (complexity(t.hypothesis), -t.falls[-1])))
     return list(dict.fromkeys(chosen))
-
-
-def _each_law(ordered: Sequence[Trial]) -> list[Trial]:
-    """Return the first trial of every law and place."""
-    first: dict[tuple[str, str], Trial] = {}
-    for t in ordered:
-        first.setdefault((t.hypothesis.physics, t.hypothesis.site), t)
-    return list(first.values())
 
 
 def kept_promises(base: dict[float, Fit], paths: Sequence[dict[float, Fit]], share: float, limited: str) -> list[dict[float, Fit]]:

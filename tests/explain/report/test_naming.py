@@ -106,6 +106,8 @@ def test_the_zero_of_a_reading_that_was_fitted_is_said(spring, recorded, shift, 
 
 def test_why_the_first_of_a_round_is_not_claimed_is_not_compared_with_itself():
     first, second = (SimpleNamespace(hypothesis=SimpleNamespace(title=n), evidence=SimpleNamespace(explained=x)) for n, x in (("friction", 0.82), ("play", 0.79)))
-    step = SimpleNamespace(candidates=[first, second], accepted=True, reason="")
+    step = SimpleNamespace(candidates=[first, second], accepted=True, reason="", worse=())
     assert _why(first, step).startswith("closes 82 % of the gap on left-out blocks, but is not claimed")
     assert _why(second, step) == "closes 79 % of the gap on left-out blocks; friction closes 82 %"
+    apart = SimpleNamespace(candidates=[first], accepted=True, reason="", worse=(second,))
+    assert "followed worse with it than with friction" in _why(second, apart)
