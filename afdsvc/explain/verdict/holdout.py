@@ -104,14 +104,14 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
     """
     last, most, unconfirmed = list(found.end)[-1], found.problem.settings.uncertain, False
     play = player(found.problem, last)
-    stated, refitted = (_error(play, runs, p) for p in (found.problem.start(), found.start[last].point))
+    about_zero = bool(verdict.claims) and is_offset(verdict.claims[0].candidate.hypothesis)  # every other refit has an offset, too
+    refit = _refitted_about_zero(found) if about_zero else found.start[last].point
+    stated, refitted = (_error(play, runs, p) for p in (found.problem.start(), refit))
     if verdict.claims:
         first = verdict.claims[0].candidate.hypothesis
-        if is_offset(first):  # the refit has one, too
-            refitted = _error(play, runs, _refitted_about_zero(found))
         final = _with(found, {c.candidate.hypothesis.key for c in verdict.claims})
         error = _error(play, runs, final.point)
-        without = _without(found, verdict, refitted < stated)
+        without = _without(found, verdict, refit if refitted < stated else found.problem.start())
         sure = play.better(runs, without, final.point) if error < 1.0 else 0.0
         shown, w = sure > found.problem.settings.sure, found.problem.weighting
         alone = not (w.measured or (w.even and verdict.gap.present) or is_constant(first))  # neither known noise nor the gap test shows a gap
@@ -139,16 +139,14 @@ def _with(found: Found, keys: set[str]) -> Fit:
     return end if len(kept) == len(end.point.effects) else fit(found.problem, replace(end.point, effects=kept), last, end.tau)
 
 
-def _without(found: Found, verdict: Verdict, eased: bool) -> Point:
-    """Return what the names are compared with: the model with its offsets only, or refitted where that follows the recordings held out better
-    (``eased``), or as stated: what is only better than a refit that went astray is not better."""
+def _without(found: Found, verdict: Verdict, model: Point) -> Point:
+    """Return what the names are compared with: the model with its offsets only, or as stated, or the better ``model`` of those stated and refitted:
+    what is only better than a refit that went astray is not better."""
     first, *others = [c.candidate.hypothesis for c in verdict.claims]
     offsets = {h.key for h in others if is_offset(h) and not (is_offset(first) or is_constant(first))}
     if offsets:
         return _with(found, offsets).point
-    if is_constant(first) or not eased:
-        return found.problem.start()
-    return _refitted_about_zero(found) if is_offset(first) else list(found.start.values())[-1].point
+    return found.problem.start() if is_constant(first) else model
 
 
 def _refitted_about_zero(found: Found) -> Point:

@@ -9,13 +9,14 @@ from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
 from afdsvc.explain.search.build import build
-from afdsvc.explain.search.fit import CONVERGED, Coordinates, Followed, fit, rms, weighted
+from afdsvc.explain.search.fit import CONVERGED, Coordinates, Followed, fit, jacobian, rms, weighted
 from afdsvc.explain.search.machine import machine
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.actuator_lag import ActuatorLag
+from tests.explain import motor
 
 DT, SAMPLES, TAU = 0.01, 400, 3.0
 
@@ -71,3 +72,16 @@ def test_a_jacobian_that_follows_steps_is_that_of_broydens_rule():
         np.testing.assert_allclose(followed.gram[j], written[j::2].T @ written[j::2], rtol=1e-10, atol=1e-9)
         np.testing.assert_allclose(followed.along(e)[j], written[j::2].T @ e[:, j], rtol=1e-10, atol=1e-9)
     np.testing.assert_array_equal(followed.J, J)
+
+
+def test_the_jacobian_is_that_of_central_differences():
+    traces = [motor.recording(60.0, s, name=f"r{s}") for s in (1, 2)]
+    p = build(nominal(motor.model(), motor.DT), prepare(motor.model(), traces), Settings())
+    c = Coordinates(p, p.start())
+    q = c.pack(p.start())
+    J = jacobian(p, c, q, 0.0, weighted(p, p.start(), 0.0))
+    for k in range(c.size):
+        step = 1e-3 * np.eye(c.size)[k]
+        ends = [np.vstack(weighted(p, c.unpack(q + s * step), 0.0)).ravel() for s in (1, -1)]
+        expected = (ends[0] - ends[1]) / 2e-3
+        assert J[:, k] == pytest.approx(expected, abs=1e-3 * max(np.abs(expected).max(), 1e-9))

@@ -11,18 +11,15 @@ from scipy.signal import lfilter
 
 from afdsvc.api.physics import Hypothesis
 from afdsvc.dataset.experiment import prepare
-from afdsvc.explain.search import forward, path
+from afdsvc.explain.search import forward
 from afdsvc.explain.search.base import settled
 from afdsvc.explain.search.build import build
 from afdsvc.explain.search.evidence import HypothesisEvidence, block_spans, noise_times, refitted
-from afdsvc.explain.search.fit import Coordinates, fit, jacobian, priced, weighted
+from afdsvc.explain.search.fit import Coordinates, fit, priced, weighted
 from afdsvc.explain.search.forward import search
 from afdsvc.explain.search.machine import hypotheses, machine
-from afdsvc.explain.search.path import Trial, bases, kept_promises, promising, trial
 from afdsvc.explain.search.ranking import Candidate, look_alikes, mechanism, vote_shares
-from afdsvc.explain.search.screen import Screened, Start
 from afdsvc.explain.settings import Settings
-from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.plugins.physics.actuator_lag import ActuatorLag
 from afdsvc.plugins.physics.coulomb_friction import CoulombFriction
@@ -292,18 +289,6 @@ def test_a_fit_is_a_stationary_point_of_its_posterior():
         assert min(near) > cost(q) - 0.02
 
 
-def test_the_jacobian_is_that_of_central_differences():
-    p = problem(60.0)
-    c = Coordinates(p, p.start())
-    q = c.pack(p.start())
-    J = jacobian(p, c, q, 0.0, weighted(p, p.start(), 0.0))
-    for k in range(c.size):
-        step = 1e-3 * np.eye(c.size)[k]
-        ends = [np.vstack(weighted(p, c.unpack(q + s * step), 0.0)).ravel() for s in (1, -1)]
-        expected = (ends[0] - ends[1]) / 2e-3
-        assert J[:, k] == pytest.approx(expected, abs=1e-3 * max(np.abs(expected).max(), 1e-9))
-
-
 def test_losses_of_left_out_blocks_are_those_of_refits_without_them():
     p = problem(60.0)
     f = fit(p, p.start(), 0.0, 5.0)
@@ -326,17 +311,6 @@ def test_a_step_that_spoils_the_other_blocks_is_not_taken():
     spans = block_spans([len(e) for e in f.residuals], f.tau, Settings())
     away = refitted(p, 0.0, replace(f, J=-f.J), spans, f.sd)
     assert away == pytest.approx(np.array([((f.residuals[r][a:b] / f.sd) ** 2).sum(0) for r, a, b in spans]))
-
-
-def test_where_the_model_was_bent_hypotheses_begin_at_the_stated_numbers_too():
-    p = problem(60.0)
-    bent = fit(p, replace(p.start(), theta=np.full(len(p.start().theta), 20.0)), 0.0, 5.0, iterations=0)
-    h = next(iter(hypotheses([CoulombFriction()], machine(p, bent, 0.0, [], [], "model"))))
-    start = Start(PlacedEffect(h, np.array(h.starts[0], float)), 0.0, np.zeros(0), np.zeros(len(bent.H)))
-    screened = {0.0: Screened(h, (start,))}
-    begin = [bases(replace(p, settings=Settings(implausible=s)), {0.0: bent}, {0.0: 5.0}) for s in (5.0, np.inf)]
-    falls = [trial(p, b, {0.0: 5.0}, screened, 1).falls[0] for b in begin]
-    assert falls[0] > falls[1] + 10.0
 
 
 def test_blocks_are_as_long_as_what_the_best_law_leaves_asks(found):
@@ -385,25 +359,6 @@ def test_an_effect_that_was_dropped_and_found_again_is_named_once(found):
     assert [s.accepted for s in forward._kept([step], found.start)] == [False]
 
 
-def tried(name, *falls, shape=""):
-    return Trial(Hypothesis(name, "machine", "", "force", None, (), (), (), (), notes={"variant": shape, "of": shape}), (), falls)
-
-
-def test_what_chance_cannot_separate_on_the_beginnings_is_fitted_to_whole_recordings():
-    chosen = promising([tried("a", 10.0), tried("b", 8.5), tried("c", 7.9)], 1, 4.0)
-    assert [t.hypothesis.physics for t in chosen] == ["a", "b"]
-
-
-def test_shapes_of_one_law_do_not_crowd_out_others():
-    """The second number is the fall that decides; of the strongest correction half as many are added."""
-    shapes = [tried("drift", 1.0, 50.0 - k, shape=f"of {k}") for k in range(6)]
-    lag, late, last = tried("lag", 2.0, 30.0), tried("delay", 9.0, 1.0), tried("mode", 8.0, 2.0)
-    chosen = promising([*shapes, lag, late, last], 2, 4.0)
-    assert chosen == [*shapes[:2], lag, late]
-    apart = [tried("drift", 1.0, 50.0 - 10 * k, shape=f"of {k}") for k in range(3)]  # the second is beyond chance of the first
-    assert promising([*apart, lag, late], 2, 4.0) == [*apart[:2], lag, late]
-
-
 @pytest.mark.parametrize(("share", "accepted"), [(0.6, True), (0.1, False)])
 def test_a_further_effect_counts_by_the_gap_where_noise_is_most_of_what_is_left(share, accepted):
     before = np.full((20, 1), 1.0)
@@ -433,29 +388,3 @@ def test_a_round_in_which_nothing_could_be_accepted_is_left_out(limited, repeats
     assert forward.Rounds.exhausted(rounds, {0.0: last}) is exhausted
 
 
-def test_the_runner_up_is_fitted_to_whole_recordings_however_far_behind_it_is():
-    def path(key, cost):
-        hypothesis = SimpleNamespace(physics=key)
-        return {0.0: SimpleNamespace(cost=cost, point=SimpleNamespace(effects=(SimpleNamespace(hypothesis=hypothesis),)))}
-
-    paths = [path("first", 0.0), path("second", 90.0), path("third", 99.0)]
-    assert kept_promises({0.0: SimpleNamespace(cost=100.0)}, paths, 0.5, "model") == paths[:2]
-
-
-def test_in_finer_steps_a_fit_begins_where_the_one_before_it_ended_if_it_is_lost(monkeypatch):
-    """The last fit has friction so large that the motor sticks; the one that is corrected strongly has the right one."""
-    p = problem(60.0)
-    (alone,) = settled(p).start.values()
-    start = {0.01: alone, 0.0: alone}
-    (h,) = [h for h in hypotheses([CoulombFriction()], machine(p, start[0.0], 0.0), False) if h.key == "coulomb_friction@state:speed"]
-    begun = []
-
-    def only_begun(problem, point, horizon, tau, **rest):
-        begun.append((horizon, problem.substeps, point.effects[0].values[0]))
-        return replace(start[horizon], point=point)
-
-    monkeypatch.setattr(path, "fit", only_begun)
-    rough = {k: replace(f, point=f.point.added(PlacedEffect(h, np.array([60.0 if k else 1e5, 1.0])))) for k, f in start.items()}
-    finer = replace(p, substeps=forward.FINER)
-    path.refined(finer, finer, dict.fromkeys(start, 1.0), {0.0: rough[0.0]}, rough)
-    assert begun == [(k, forward.FINER, 60.0) for k in (*start, 0.0)]
