@@ -16,7 +16,7 @@ from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.explain.simulate.nominal import nominal
 from afdsvc.explain.verdict import holdout as module
-from afdsvc.explain.verdict.holdout import HeldOutVerdict, Player
+from afdsvc.explain.verdict.holdout import HeldOutVerdict, Player, _without
 from afdsvc.explain.verdict.verdict import Claim, Verdict
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.parameter_step import stepping
@@ -195,3 +195,12 @@ def test_a_change_comes_in_a_recording_held_out_where_it_shows_or_before_or_afte
     law = Hypothesis("step", "input:u", "drift", "input", stepping, (Signal("u", 0), Signal("t")), (Signal("u", 0),), numbers, ((0.0, 5.0, 2.0, 1.0),), memory=memory)
     point = problem.start().added(PlacedEffect(law, np.array([-0.4, 3.0, 2.0, 1.0])))
     assert Player(problem, "from the inputs", 0.0).nrmse(runs, point)[0] < 6e-3
+
+
+@pytest.mark.parametrize(("physics", "compared"), [("parameter_change", "stated"), ("coulomb_friction", "better of the two")])
+def test_a_changed_number_is_compared_with_the_model_as_stated(physics, compared):
+    """The refit has that change, too."""
+    hypothesis = SimpleNamespace(key=physics, physics=physics, family="")
+    verdict = SimpleNamespace(claims=(SimpleNamespace(candidate=SimpleNamespace(hypothesis=hypothesis)),))
+    found = SimpleNamespace(problem=SimpleNamespace(start=lambda: "stated"))
+    assert _without(found, verdict, "better of the two") == compared
