@@ -35,7 +35,7 @@ def build(nominal: Nominal, runs: Sequence[Run], settings: Settings, heldout: Se
     problem = replace(problem, state_scale=_positive(np.sqrt(np.mean(np.minimum(np.abs(states), LARGEST) ** 2, axis=0))))
     regular = not n or growth(nominal) < 1 - 1e-9  # it forgets its initial state, and can be simulated from its inputs alone
     problem = replace(problem, offset_free=regular, regular=regular, loads=() if regular else loads(nominal, force, settings.load_sd))
-    if not regular and all(r.W is not None for r in heldout) and _follows_in_loop(problem):
+    if all(r.W is not None for r in heldout) and _follows_in_loop(problem):
         problem = replace(problem, closed=True, regular=True, settings=replace(settings, horizons=(0.0,)))
     return replace(problem, x0=tuple(initial(problem, k) for k in range(len(runs))))
 
@@ -65,11 +65,12 @@ def growth(nominal: Nominal) -> float:
 
 
 def _follows_in_loop(problem: Problem) -> bool:
-    """Whether the loop can be closed around the model with the stated controller, and follows the recordings better than their mean."""
+    """Whether the loop can be closed around the model with the stated controller, and follows the recordings better than their mean and than a
+    simulation from the inputs, in which feedback puts what disturbed the outputs (Forssell and Ljung, Automatica 35, 1999)."""
     if not loop_known(problem):
         return False
-    loop = replace(problem, closed=True)
-    return float(np.mean(np.vstack(loop.residuals(loop.start(), 0.0)) ** 2)) < 1.0
+    loop, inputs = (float(np.mean(np.vstack(p.residuals(p.start(), 0.0)) ** 2)) for p in (replace(problem, closed=True), problem))
+    return loop < min(1.0, inputs)
 
 
 def initial(problem: Problem, k: int) -> Array:
