@@ -35,8 +35,8 @@ def loop(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
     elif driven:
         yield Finding(
             "warning", "controller",
-            "the inputs come from a controller that is not given: nothing can be simulated in closed loop, predictions from "
-            "the measured inputs are compared",
+            "the inputs come from a controller that is not stated: the loop cannot be simulated, and what disturbs the outputs is in "
+            "the inputs, too; state the controller in the model where it is known",
         )
 
 
