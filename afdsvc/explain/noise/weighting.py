@@ -129,6 +129,17 @@ def correlation_time(residuals: Sequence[Array]) -> float:
     return float(np.mean([_integrated([e[:, j] for e in residuals]) for j in range(p)]))
 
 
+def power_time(residuals: Sequence[Array]) -> float:
+    """Return the time in samples after which the power of residuals is independent, at least `correlation_time`, the mean over outputs.
+
+    It is the sum of the squared autocorrelation (Bartlett 1946), here from periodograms, whose squares are twice those of the density on average. The sum
+    of the autocorrelation itself is cut at the first zero of an oscillation, however long that lasts.
+    """
+    spectra = [np.abs(sfft.rfft(e, axis=0)[1:]) ** 2 for e in residuals]
+    squares = sum(0.25 * len(e) ** 2 * (s**2).sum(0) / np.maximum(s.sum(0) ** 2, 1e-300) for e, s in zip(residuals, spectra, strict=True))
+    return max(correlation_time(residuals), float(np.mean(squares)) / sum(map(len, residuals)))
+
+
 def _integrated(pieces: Sequence[Array]) -> float:
     longest = max(len(e) for e in pieces)
     total = np.zeros(longest)

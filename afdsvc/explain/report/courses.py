@@ -19,11 +19,7 @@ from afdsvc.stats.portmanteau import portmanteau_test
 def courses(player: Player, runs: Sequence[Run], role: str, before: Point, after: Point) -> tuple[RecordingCourse, ...]:
     """Return the recordings beside the simulations of both models."""
     both = (player.outputs(runs, p) for p in (before, after))
-    return tuple(RecordingCourse(r.name, role, _time(r), r.Y, b, a) for r, b, a in zip(runs, *both, strict=True))
-
-
-def _time(run: Run) -> Array:
-    return np.asarray(run.t0 + run.dt * np.arange(len(run)), dtype=np.float64)
+    return tuple(RecordingCourse(r.name, role, r.t0 + r.dt * np.arange(len(r)), r.Y, b, a) for r, b, a in zip(runs, *both, strict=True))
 
 
 def fits(held: Sequence[RecordingCourse], names: Sequence[str], floor: Sequence[float] | None) -> tuple[OutputFit, ...]:

@@ -25,7 +25,7 @@ SHARES = (1.0, 0.3, 0.1, 0.03)
 
 def build(nominal: Nominal, runs: Sequence[Run], settings: Settings, heldout: Sequence[Run] = ()) -> Problem:
     """Return the problem of explaining ``runs`` with the model; ``heldout`` must be simulated in the same way."""
-    scale = _spread(runs)
+    scale = _positive(np.sqrt(np.mean([np.nanvar(r.Y, axis=0) for r in runs], axis=0)))
     force = _force(nominal, runs)
     theta = np.zeros(len(nominal.entries))
     gains = {h: correction_gain(nominal, theta, (force, scale), h) for h in (*settings.horizons, STRONG)}
@@ -38,10 +38,6 @@ def build(nominal: Nominal, runs: Sequence[Run], settings: Settings, heldout: Se
     if all(r.W is not None for r in heldout) and _follows_in_loop(problem):
         problem = replace(problem, closed=True, regular=True, settings=replace(settings, horizons=(0.0,)))
     return replace(problem, x0=tuple(initial(problem, k) for k in range(len(runs))))
-
-
-def _spread(runs: Sequence[Run]) -> Array:
-    return _positive(np.sqrt(np.mean([np.nanvar(r.Y, axis=0) for r in runs], axis=0)))
 
 
 def _positive(x: Array) -> Array:

@@ -11,7 +11,7 @@ from scipy.stats import ttest_1samp
 
 from afdsvc.api.physics import LONG_AGO
 from afdsvc.dataset.experiment import Run
-from afdsvc.explain.noise.weighting import correlation_time
+from afdsvc.explain.noise.weighting import power_time
 from afdsvc.explain.search.build import initial
 from afdsvc.explain.search.evidence import block_spans
 from afdsvc.explain.search.fit import Coordinates, Fit, fit, rms
@@ -50,9 +50,9 @@ class Player:
     def better(self, runs: Sequence[Run], before: Point, after: Point) -> float:
         """Return how sure it is that ``after`` follows the recordings better than ``before``: 1 less twice the smaller p-value of two tests.
 
-        One is a t-test of the logarithm of the ratio of their losses over blocks of several correlation times: it sees small differences
+        One is a t-test of the logarithm of the ratio of their losses over blocks whose powers are independent: it sees small differences
         in long recordings. The other is the F-test of the ratio over all recordings, each loss with as many degrees of freedom as its
-        residual has independent samples: it sees large ones in short recordings. Residuals are weighted as in the search, and outputs
+        residual has samples of independent power: it sees large ones in short recordings. Residuals are weighted as in the search, and outputs
         count by what ``before`` misses. A moment that was sought there counts as many tests (Bonferroni). 0 where a simulation left, or all recordings
         together are followed worse.
         """
@@ -63,13 +63,13 @@ class Player:
         errors = [[(r.Y - y) / scale for r, y in zip(runs, pieces, strict=True)] for pieces in outputs]
         first, second = ([weighting(np.nan_to_num(e)) for e in pieces] for pieces in errors)
         first, second = ([e / rms(first) for e in pieces] for pieces in (first, second))
-        spans = block_spans([len(r) for r in runs], correlation_time(first), self.problem.settings)
+        spans = block_spans([len(r) for r in runs], power_time(first), self.problem.settings)
         losses = np.array([[float((e[r][a:b] ** 2).sum()) for e in (first, second)] for r, a, b in spans]) + 1e-300
         ratio, total = np.log(losses[:, 0] / losses[:, 1]), losses[:, 0].sum() / losses[:, 1].sum()
         if not total > 1:
             return 0.0
         steady = float(ttest_1samp(ratio, 0.0, alternative="greater").pvalue) if np.ptp(ratio) > 0 else 1.0
-        degrees = [sum(e.size for e in pieces) / correlation_time(pieces) for pieces in (first, second)]
+        degrees = [sum(e.size for e in pieces) / power_time(pieces) for pieces in (first, second)]
         tried = float(MOMENTS ** max(0, len(moments(after)) - len(moments(before))))
         return 1 - 2 * min(tried * steady, tried * float(f_distribution.sf(total, *degrees)), 0.5)
 

@@ -7,13 +7,32 @@ import pytest
 from scipy.signal import lfilter
 
 from afdsvc.explain.noise.surrogates import chance, rephased
-from afdsvc.explain.noise.weighting import correlation_time, even, noise_share
+from afdsvc.explain.noise.weighting import correlation_time, even, noise_share, power_time
 
 
 @pytest.mark.parametrize("a", [0.0, 0.5, 0.9])
 def test_the_correlation_time_of_first_order_noise(a):
     e = lfilter([1.0], [1.0, -a], np.random.default_rng(3).normal(size=(60_000, 1)), axis=0)
     assert correlation_time([e]) == pytest.approx((1 + a) / (1 - a), rel=0.15)
+
+
+@pytest.mark.parametrize(("decay", "angle"), [(200.0, 0.1), (50.0, 0.3)])
+def test_the_power_of_an_oscillation_is_independent_after_as_long_as_it_lasts(decay, angle):
+    """Noise that rings: the squares of the autocorrelation of its filter, summed over all lags, where the variance of its power says the same."""
+    a = [1.0, *np.poly(np.exp([-1 / decay + 1j * angle, -1 / decay - 1j * angle])).real[1:]]
+    response = lfilter([1.0], a, np.eye(1, 40_000)[0])
+    rho = np.correlate(np.pad(response, (0, len(response))), response, mode="valid") / (response @ response)
+    noise = lfilter([1.0], a, np.random.default_rng(5).normal(size=(400, 22_000)))[:, 2000:]
+    powers, expected = (noise**2).mean(1), 2 * (rho**2).sum() - 1
+    assert powers.var() / powers.mean() ** 2 * 20_000 / 2 == pytest.approx(expected, rel=0.3)
+    pieces = [*noise[:80].reshape(4, -1, 1)]
+    assert power_time(pieces) == pytest.approx(expected, rel=0.1)
+    assert power_time(pieces) > 3 * correlation_time(pieces)
+
+
+def test_the_power_of_slow_noise_is_independent_after_its_correlation_time():
+    slow = lfilter([1.0], [1.0, -0.9], np.random.default_rng(6).normal(size=(20_000, 2)), axis=0)
+    assert power_time([slow]) == correlation_time([slow])
 
 
 def test_surrogates_keep_power_and_colour():
