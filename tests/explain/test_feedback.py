@@ -65,9 +65,18 @@ def test_what_disturbs_a_loop_is_not_named_where_its_controller_is_stated(seed):
     assert (answer.simulated, answer.verdict, answer.named) == ("in closed loop", "consistent", ())
 
 
-def test_a_loop_that_the_stated_controller_did_not_make_is_simulated_from_its_inputs():
-    """With the sign of the controller turned the simulated loop is unstable, and follows nothing."""
-    turned = replace(model(), controller=StateSpace.of(CONTROLLER.A, CONTROLLER.B, -CONTROLLER.C, -CONTROLLER.D, DT))
-    for stated, closed in ((model(), True), (turned, False)):
-        fitted, held = prepare(stated, recordings(1)[::3])
-        assert build(nominal(stated, DT), [fitted], Settings(), [held]).closed == closed
+@pytest.mark.parametrize(("controller", "closed"), [(1.0, True), (-1.0, False), (0.0, False)])
+def test_the_loop_is_simulated_where_that_follows_better_than_a_simulation_from_the_inputs(controller, closed):
+    """With the sign of the controller turned the simulated loop is unstable; without gain it is the simulation from the inputs."""
+    stated = replace(model(), controller=StateSpace.of(CONTROLLER.A, CONTROLLER.B, controller * CONTROLLER.C, controller * CONTROLLER.D, DT))
+    fitted, held = prepare(stated, recordings(1)[::3])
+    assert build(nominal(stated, DT), [fitted], Settings(), [held]).closed == closed
+
+
+def test_a_loop_that_follows_no_better_than_the_mean_is_not_simulated():
+    """A plant that falls over leaves its recordings when it is simulated from the inputs; of readings that have nothing to do with it the loop follows none."""
+    falls = replace(model(), plant=plant(-52_600.0, 5.5, 4.1e5), controller=StateSpace.gain(np.array([[-0.3]]), DT))
+    rng = np.random.default_rng(1)
+    names = (Channel("u_coil"), Channel("y_position"), Channel("ref_position"))
+    fitted, held = prepare(falls, [Trace("r", DT, names, rng.standard_normal((SAMPLES, 3)) * [1, 1, 0]) for _ in range(2)])
+    assert not build(nominal(falls, DT), [fitted], Settings(), [held]).closed

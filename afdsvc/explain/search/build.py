@@ -10,6 +10,7 @@ import numpy as np
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.screening import LARGEST
 from afdsvc.explain.noise.weighting import even
+from afdsvc.explain.search.fit import fit
 from afdsvc.explain.search.problem import Point, Problem, loads, loop_known
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import Nominal
@@ -61,11 +62,14 @@ def growth(nominal: Nominal) -> float:
 
 
 def _follows_in_loop(problem: Problem) -> bool:
-    """Whether the loop can be closed around the model with the stated controller, and follows the recordings better than their mean and than a
-    simulation from the inputs, in which feedback puts what disturbed the outputs (Forssell and Ljung, Automatica 35, 1999)."""
+    """Whether the loop can be closed around the model with the stated controller, and follows the recordings better than their mean and than from
+    the inputs, where feedback puts what disturbs the outputs (Forssell and Ljung, Automatica 35, 1999); a stable plant also when both are refitted."""
     if not loop_known(problem):
         return False
-    loop, inputs = (float(np.mean(np.vstack(p.residuals(p.start(), 0.0)) ** 2)) for p in (replace(problem, closed=True), problem))
+    ways = replace(problem, closed=True), problem
+    loop, inputs = (float(np.mean(np.vstack(p.residuals(p.start(), 0.0)) ** 2)) for p in ways)
+    if problem.regular and loop < min(1.0, inputs):  # deviances are negative where the mean is worse
+        loop, inputs = (fit(p, p.start(), 0.0, 1.0).deviance for p in (p.beginning() for p in ways))
     return loop < min(1.0, inputs)
 
 

@@ -69,7 +69,7 @@ class Coordinates:
         self.k = len(point.theta)
         self.p = len(point.offset) if problem.offset_free else 0
         self.slots = [(i, j, c) for i, e in enumerate(point.effects) for j, c in enumerate(e.hypothesis.parameters) if c.free]
-        self.units = [_unit(c, point.effects[i].values[j]) for i, j, c in self.slots]
+        self.units = [min(max(abs(point.effects[i].values[j]), c.scale, 1e-300), c.high - c.low) for i, j, c in self.slots]
         known = all(r.steady for r in problem.runs)
         self.unsettled = [(i, h.unsettled) for i, h in enumerate(e.hypothesis for e in point.effects) if h.unsettled and (h.lasting or not known)]
         sizes = [np.full(count, problem.size(point.effects[i].hypothesis.reads[0])) for i, count in self.unsettled]
@@ -136,10 +136,6 @@ def priced(problem: Problem, fit: Fit, h: Hypothesis) -> int:
 def logarithmic(c: Coefficient) -> bool:
     """Whether a parameter is searched on a logarithmic scale: a positive one whose range is not a narrow band."""
     return c.low >= 0 and not c.linear and c.high > 2 * c.low
-
-
-def _unit(c: Coefficient, value: float) -> float:
-    return min(max(abs(value), c.scale, 1e-300), c.high - c.low)
 
 
 def _inward(c: Coefficient, value: float, unit: float) -> float:
