@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.sample_checks import CheckFinding
 from afdsvc.dataset.units import unit_in_words, unknown_unit
 from afdsvc.errors import BadInput
 from afdsvc.lti.statespace import Array
@@ -103,10 +103,10 @@ def _columns(signal: ArrayLike, side: str, name: str) -> Array:
     return array
 
 
-def check_columns(model: Model, traces: Sequence[Trace], runs: Sequence[Run]) -> Iterator[Finding]:
+def check_columns(model: Model, traces: Sequence[Trace], runs: Sequence[Run]) -> Iterator[CheckFinding]:
     """Yield what there is to say on columns and sampling; missing ones were refused before."""
     seconds = sum(len(r) for r in runs) * runs[0].dt
-    yield Finding(
+    yield CheckFinding(
         "ok", "columns",
         f"{len(runs)} recording{'s' * (len(runs) != 1)}, {seconds:.4g} s at {1 / runs[0].dt:.6g} Hz; inputs {_names(model.inputs)}, outputs {_names(model.outputs)}",
     )
@@ -120,47 +120,47 @@ def _names(variables: Sequence[Variable]) -> str:
     return ", ".join(f"{v.name} [{unit_in_words(v.unit)}]" if v.unit else v.name for v in variables) or "none"
 
 
-def _unused(model: Model, traces: Sequence[Trace]) -> Iterator[Finding]:
+def _unused(model: Model, traces: Sequence[Trace]) -> Iterator[CheckFinding]:
     known = {f"u_{v.name}" for v in model.inputs} | {f"y_{v.name}" for v in model.outputs}
     extra = sorted({c.name for t in traces for c in t.channels if c.role in ("u", "y") and c.name not in known})
     if extra:
-        yield Finding("warning", "columns", f"columns {', '.join(extra)} are in the recordings but not in the model and are not used")
+        yield CheckFinding("warning", "columns", f"columns {', '.join(extra)} are in the recordings but not in the model and are not used")
 
 
-def _units(model: Model, traces: Sequence[Trace]) -> Iterator[Finding]:
+def _units(model: Model, traces: Sequence[Trace]) -> Iterator[CheckFinding]:
     units = {f"u_{v.name}": v.unit for v in model.inputs} | {f"y_{v.name}": v.unit for v in model.outputs}
     for name, unit in units.items():
         if wrong := unknown_unit(unit):
-            yield Finding("warning", "units", f"the model's {name}: {wrong}: which laws are tried depends on whether it is a speed, a position or a force")
+            yield CheckFinding("warning", "units", f"the model's {name}: {wrong}: which laws are tried depends on whether it is a speed, a position or a force")
     for trace in traces:
         for channel in trace.channels:
             unit = units.get(channel.name, "")
             if unit and channel.unit and unit != channel.unit:
-                yield Finding(
+                yield CheckFinding(
                     "warning", "units", f"{trace.name}: {channel.name} is recorded in {channel.unit}; the model has it in {unit}"
                 )
 
 
-def _bridged(traces: Sequence[Trace]) -> Iterator[Finding]:
+def _bridged(traces: Sequence[Trace]) -> Iterator[CheckFinding]:
     for trace in traces:
         for channel in trace.channels:
             missing = int((~np.isfinite(trace.column(channel.name))).sum()) if channel.role in ("aux", "ref") else 0
             if missing:
-                yield Finding(
+                yield CheckFinding(
                     "warning", "gaps", f"{trace.name}: {channel.name} lacks {missing} of {len(trace)} samples; they are interpolated linearly"
                 )
 
 
-def _sampling(model: Model, dt: float) -> Iterator[Finding]:
+def _sampling(model: Model, dt: float) -> Iterator[CheckFinding]:
     plant, K = model.plant, model.controller
     if plant is not None and plant.discrete and abs(plant.dt / dt - 1) > 1e-6:
-        yield Finding(
+        yield CheckFinding(
             "warning", "sampling",
             f"the model is sampled every {plant.dt:g} s, the recordings every {dt:g} s: the model is resampled by way of its "
             "continuous counterpart",
         )
     if K is not None and K.order and K.discrete and abs(K.dt / dt - 1) > 1e-6:
-        yield Finding(
+        yield CheckFinding(
             "warning", "sampling",
             f"the controller is sampled every {K.dt:g} s, the recordings every {dt:g} s: the loop cannot be reconstructed and the "
             "controller is treated as unknown",

@@ -11,7 +11,7 @@ import numpy as np
 from afdsvc.api.model import Model
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.periods import fold
-from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.sample_checks import CheckFinding
 from afdsvc.dataset.units import with_unit
 from afdsvc.lti.statespace import Array
 
@@ -43,25 +43,25 @@ class InputSource:
         return len(found)
 
 
-def check_excitation(model: Model, runs: Sequence[Run]) -> Iterator[Finding]:
+def check_excitation(model: Model, runs: Sequence[Run]) -> Iterator[CheckFinding]:
     """Yield one finding per input, and what one frequency alone leaves open."""
     for i, v in enumerate(model.inputs):
         p = input_source(runs, i)
         if not any(p.rms) and not all(only_noise(r, i) for r in runs):
             levels = ", ".join(f"{r.U[:, i].mean():.3g}" for r in runs)
-            yield Finding("ok", "inputs", f"input {v.name}: constant in every recording ({with_unit(levels, v.unit)}); its effect shows in how the outputs settle")
+            yield CheckFinding("ok", "inputs", f"input {v.name}: constant in every recording ({with_unit(levels, v.unit)}); its effect shows in how the outputs settle")
         elif not any(p.rms):
-            yield Finding("warning", "inputs", f"input {v.name} is not excited: its effect cannot be distinguished from noise")
+            yield CheckFinding("warning", "inputs", f"input {v.name} is not excited: its effect cannot be distinguished from noise")
         elif p.lines <= 2 and p.periods > 1:
             sines = f"one sine ({p.band[0]:.4g}" if p.lines == 1 else f"two sines ({p.band[0]:.4g} and {p.band[1]:.4g}"
-            yield Finding(
+            yield CheckFinding(
                 "warning", SINE,
                 f"input {v.name} is excited by {sines} Hz) only: delay, lag, "
                 "gain, stiffness and damping cannot be separated, nor friction and a dead zone; a multisine would "
                 "separate them",
             )
         else:
-            yield Finding("ok", "inputs", _described(v.name, v.unit, p))
+            yield CheckFinding("ok", "inputs", _described(v.name, v.unit, p))
 
 
 def _described(name: str, unit: str, p: InputSource) -> str:

@@ -30,7 +30,7 @@ BOUND = 2.0  # standard errors beyond an early estimate where the severity hardl
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class BurstFinding:
     """What a statistic says about one burst: ``statistic`` against ``threshold``, one fit per fault, their weights.
 
     ``early``: the data chose when to stop, so severities are biased away from zero; they are reported as bounds. ``refused`` says why
@@ -67,11 +67,11 @@ class BurstStatistic(Protocol):
         """Return the sums before the first sample."""
         ...
 
-    def step(self, sums: Any, samples: BurstSamples) -> tuple[Any, Finding | None]:
+    def step(self, sums: Any, samples: BurstSamples) -> tuple[Any, BurstFinding | None]:
         """Return the sums after the samples, and a finding when the burst need not be waited for."""
         ...
 
-    def decide(self, sums: Any, burst: Burst, dt: float) -> Sequence[Finding]:
+    def decide(self, sums: Any, burst: Burst, dt: float) -> Sequence[BurstFinding]:
         """Return what the burst shows, once all its samples were seen."""
         ...
 
@@ -150,7 +150,7 @@ class BurstDetector:
         except AfdsvcError as error:
             return Playing(piece.burst_start, None, str(error))
 
-    def _early(self, seen: Seen, played: Played, finding: Finding, piece: ResidualBlock) -> list[Evidence]:
+    def _early(self, seen: Seen, played: Played, finding: BurstFinding, piece: ResidualBlock) -> list[Evidence]:
         """Report a finding before the burst has ended, unless something speaks against it (then the end decides)."""
         complaint = played.checks.complaint(played.checks.n, self.frozen, self.problem.input_names, self.problem.output_names)
         complaint = complaint or played.lines.complaint(self.problem, played.burst)
@@ -171,11 +171,11 @@ class BurstDetector:
             findings = [] if unusable else self.statistic.decide(now.sums, played.burst, dt)
         except AfdsvcError as error:
             findings, complaint = [], complaint or str(error)
-        findings = findings or [Finding(float("nan"), float("nan"))]
+        findings = findings or [BurstFinding(float("nan"), float("nan"))]
         about = (self.name, problem, k, dt, played.name)
         return [evidence(*about, f, judgement, complaint or f.refused or ("" if judgement.explained_by else self._loud(played, f)), self.sure) for f in findings]
 
-    def _loud(self, played: Played, finding: Finding) -> str:
+    def _loud(self, played: Played, finding: BurstFinding) -> str:
         """Return the sentence that the burst was louder or quieter than stated.
 
         "" when it was not, when the finding stands all the same, and for a statistic that knows no faults: it looks for just that.
@@ -194,7 +194,7 @@ class BurstDetector:
 
 
 def evidence(
-    detector: str, problem: DetectionProblem, k: int, dt: float, burst: str, finding: Finding, judgement: Judgement, complaint: str,
+    detector: str, problem: DetectionProblem, k: int, dt: float, burst: str, finding: BurstFinding, judgement: Judgement, complaint: str,
     sure: float,
 ) -> Evidence:
     """Return the evidence for one finding: nothing is detected when the burst or the quiet data cannot be trusted."""
@@ -212,7 +212,7 @@ def evidence(
     )
 
 
-def likeliest(finding: Finding) -> Fit | None:
+def likeliest(finding: BurstFinding) -> Fit | None:
     """Return the fit of the fault with the largest weight; None when `NONE` weighs more or there are no fits."""
     if not finding.weights:
         return None

@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import chdtrc, logsumexp
 
-from afdsvc.detect.burst_detector import Finding
+from afdsvc.detect.burst_detector import BurstFinding
 from afdsvc.detect.isolation import NONE, Fit, LineData, likelihood_gain
 from afdsvc.detect.statistics.fault_curves import FaultCurves
 from afdsvc.lti.statespace import Array
@@ -127,7 +127,7 @@ def largest_second(b: Array, G: Array, low: float, first: tuple[float, float] | 
     return float(s[gain >= gain.max() - EXCLUDED].min())
 
 
-def paired(finding: Finding, found: Sequence[Combination], pair: Combination, names: Sequence[str], samples: int) -> Finding:
+def paired(finding: BurstFinding, found: Sequence[Combination], pair: Combination, names: Sequence[str], samples: int) -> BurstFinding:
     """Return the finding with single faults and pairs weighed, and fits of the likeliest pair."""
     kept = {name: w for name, w in weighed(found, names, samples).items() if w > NEGLIGIBLE}
     together = Fit(JOINED.join(names[i] for i in pair.faults), float(pair.severity.min()), math.inf, pair.gain, pair.gain)
@@ -137,7 +137,7 @@ def paired(finding: Finding, found: Sequence[Combination], pair: Combination, na
     return replace(finding, fits=(*finding.fits, together), weights=kept, parts={**finding.parts, **parts})
 
 
-def paired_on_lines(finding: Finding, curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[float, float]], samples: int) -> Finding:
+def paired_on_lines(finding: BurstFinding, curves: FaultCurves, data: LineData, reach: Mapping[str, tuple[float, float]], samples: int) -> BurstFinding:
     """Return the finding of a burst's lines with pairs weighed too, where one may be likelier than any single fault.
 
     What the likeliest pair leaves must be noise: otherwise the finding stays as it is.

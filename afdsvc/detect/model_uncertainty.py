@@ -57,7 +57,7 @@ def model_doubt(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> A
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Models:
+class HealthyMachines:
     """Healthy machines as they may be: ``weights (Q,)``, their waves ``(Q, D)`` and noise covariances ``(Q, D, D)``
     in the nominal machine's standard deviations, without linearisation. A wrong model also colours the loop's own
     noise.
@@ -77,20 +77,20 @@ class Models:
         return Mixture(self.weights, self.waves, np.asarray(np.linalg.cholesky(self.covariances)), directions)
 
 
-def models(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> Models:
+def models(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> HealthyMachines:
     """Return the machines the uncertainty allows: quadrature nodes for one parameter, a low-discrepancy set for more."""
     return problem.once(lambda: _models(problem, lines, R), "models", tuple(lines), np.ascontiguousarray(R).tobytes())
 
 
-def _models(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> Models:
+def _models(problem: DetectionProblem, lines: Sequence[Line], R: Array) -> HealthyMachines:
     deviations, D = uncertain_parameters(problem), R.shape[0] * problem.plant.outputs
     if not deviations:
-        return Models(np.ones(1), np.zeros((1, D)), np.eye(D)[None])
+        return HealthyMachines(np.ones(1), np.zeros((1, D)), np.eye(D)[None])
     z, weights = _nodes(len(deviations))
     curves = fault_curves(as_faults(problem), lines)
     found = [curves.together({n: float(sd * zj) for (n, sd), zj in zip(deviations.items(), row, strict=True)}) for row in z]
     waves = np.array([(R @ point).ravel() for point, _ in found])
-    return Models(weights, waves, np.array([covariance for _, covariance in found]))
+    return HealthyMachines(weights, waves, np.array([covariance for _, covariance in found]))
 
 
 def share_near_instability(problem: DetectionProblem) -> float:
@@ -108,7 +108,7 @@ def share_near_instability(problem: DetectionProblem) -> float:
     return float(weights[np.array(found) < margin({}) / 2].sum())
 
 
-def threshold_over_models(directions: Array, found: Models, false_alarm: float) -> float:
+def threshold_over_models(directions: Array, found: HealthyMachines, false_alarm: float) -> float:
     """Return h at which ``max_k <e_k, z>`` exceeds h with probability ``false_alarm`` averaged over the models.
 
     ``directions (K, D)`` need not be unit vectors: ``<e_k, z>`` has unit variance in the nominal machine plus doubt.

@@ -32,7 +32,7 @@ class IntakeState:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class StreamFinding:
     """Something named about the stream: a kind of event, and one sentence."""
 
     kind: str
@@ -45,7 +45,7 @@ class CheckedBlock:
 
     usable: bool
     gap: bool
-    findings: tuple[Finding, ...]
+    findings: tuple[StreamFinding, ...]
     lost_samples: int = 0
 
 
@@ -53,11 +53,11 @@ def judge(expected: Expectation, state: IntakeState, block: Block) -> tuple[Inta
     """Return the state after the block and what is to be made of it."""
     wrong = _wrong_kind(expected, block)
     if wrong:
-        return state, CheckedBlock(False, True, (Finding("bad_block", wrong),))
+        return state, CheckedBlock(False, True, (StreamFinding("bad_block", wrong),))
     fresh = block.session != state.session
     if not fresh and block.k0 < state.k:
         what = f"block {block.seq} of '{block.machine}' starts at sample {block.k0}, expected {state.k}: out of order, left out"
-        return state, CheckedBlock(False, False, (Finding("bad_block", what),))
+        return state, CheckedBlock(False, False, (StreamFinding("bad_block", what),))
     lost = 0 if fresh else block.k0 - state.k
     findings = [_gap(block, state, lost)] if lost else []
     bad, why = _bad_samples(block)
@@ -76,27 +76,27 @@ def _wrong_kind(expected: Expectation, block: Block) -> str:
     return "" if len(block) else f"block {block.seq} of '{block.machine}' holds no samples"
 
 
-def _gap(block: Block, state: IntakeState, lost: int) -> Finding:
+def _gap(block: Block, state: IntakeState, lost: int) -> StreamFinding:
     blocks = block.seq - state.seq
-    return Finding("gap", f"{lost} samples ({blocks} blocks) of '{block.machine}' are missing before sample {block.k0}")
+    return StreamFinding("gap", f"{lost} samples ({blocks} blocks) of '{block.machine}' are missing before sample {block.k0}")
 
 
-def _bad_samples(block: Block) -> tuple[bool, list[Finding]]:
+def _bad_samples(block: Block) -> tuple[bool, list[StreamFinding]]:
     """NaN in an input or output makes the whole block unusable; the channel and the first sample are named."""
-    findings: list[Finding] = []
+    findings: list[StreamFinding] = []
     if np.isfinite(block.values).all():
         return False, findings
     for i, channel in enumerate(block.channels):
         if channel.role in ("u", "y") and not np.isfinite(block.values[:, i]).all():
             k = int(np.flatnonzero(~np.isfinite(block.values[:, i]))[0])
             count = int((~np.isfinite(block.values[:, i])).sum())
-            findings.append(Finding("bad_samples", f"'{channel.name}' is NaN at sample {block.k0 + k} ({count} in this block)"))
+            findings.append(StreamFinding("bad_samples", f"'{channel.name}' is NaN at sample {block.k0 + k} ({count} in this block)"))
     return bool(findings), findings
 
 
 def _frozen(
     expected: Expectation, state: IntakeState, block: Block, fresh: bool
-) -> tuple[Array, Array, tuple[bool, ...], list[Finding]]:
+) -> tuple[Array, Array, tuple[bool, ...], list[StreamFinding]]:
     """Count how long each output has not changed at all; real sensors have noise."""
     y = block.role("y")
     p = y.shape[1]
@@ -114,7 +114,7 @@ def _frozen(
     was = state.frozen if not fresh and state.frozen else (False,) * p
     names = [c.name for c in block.channels if c.role == "y"]
     frozen_findings = [
-        Finding("frozen_sensor", f"'{names[i]}' has not changed for {int(longest[i])} samples; the sensor looks frozen")
+        StreamFinding("frozen_sensor", f"'{names[i]}' has not changed for {int(longest[i])} samples; the sensor looks frozen")
         for i in range(p)
         if frozen[i] and not was[i]
     ]

@@ -18,7 +18,7 @@ from afdsvc.detect.features.innovations import ResidualFilter
 from afdsvc.detect.features.noise_calibration import calibrate_noise
 from afdsvc.detect.features.whiteness_gate import Gate
 from afdsvc.detect.thresholds.power import tail_point
-from afdsvc.diagnosis.data_quality import Expectation, Finding, IntakeState, judge, longest_still
+from afdsvc.diagnosis.data_quality import Expectation, IntakeState, StreamFinding, judge, longest_still
 from afdsvc.errors import AfdsvcError, Refused
 from afdsvc.lti.statespace import Array, StateSpace
 from afdsvc.retune.design import retuned_problem
@@ -35,7 +35,7 @@ class Outcome:
     """What one block led to: evidence, findings about the stream, and the whitened residual (None when unusable)."""
 
     evidence: tuple[Evidence, ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[StreamFinding, ...]
     residual: Array | None
     lost_samples: int = 0
 
@@ -139,11 +139,11 @@ class Pipeline:
             self.problem, self.detectors = self._loops[block.tuning]
             self._states, self._broken = {d.name: d.start() for d in self.detectors}, {}
 
-    def _judge_residual(self, block: Block, r: Array) -> tuple[list[Evidence], list[Finding]]:
+    def _judge_residual(self, block: Block, r: Array) -> tuple[list[Evidence], list[StreamFinding]]:
         seen = self._seen(block, r)
         self._gap = False
         evidence: list[Evidence] = []
-        failures: list[Finding] = []
+        failures: list[StreamFinding] = []
         for detector in self.detectors:
             if detector.name in self._broken:
                 continue
@@ -153,7 +153,7 @@ class Pipeline:
             except Exception as error:
                 log.exception("detector '%s' failed", detector.name)
                 self._broken[detector.name] = f"{type(error).__name__}: {error}"
-                failures.append(Finding("plugin_failed", f"detector '{detector.name}' failed and is disabled: {error}"))
+                failures.append(StreamFinding("plugin_failed", f"detector '{detector.name}' failed and is disabled: {error}"))
         return evidence, failures
 
     def _seen(self, block: Block, r: Array) -> ResidualBlock:
@@ -279,19 +279,19 @@ class CalibratedPipeline:
             found = (*found, self._calibrate())
         return Outcome((), found, None, judged.lost_samples)
 
-    def _calibrate(self) -> Finding:
+    def _calibrate(self) -> StreamFinding:
         u, y = (np.vstack([b.role(role) for b in self._quiet]) for role in ("u", "y"))
         self._quiet = []
         try:
             self.pipeline, finding = calibrated(self.plant, u, y, self.design)
         except AfdsvcError as error:
-            return Finding("plugin_failed", f"the calibration failed and is repeated with the next data: {error}")
+            return StreamFinding("plugin_failed", f"the calibration failed and is repeated with the next data: {error}")
         for burst in self.bursts.values():
             self.pipeline.announce(burst)
         return finding
 
 
-def calibrated(plant: StateSpace, u: Array, y: Array, design: Design) -> tuple[Pipeline, Finding]:
+def calibrated(plant: StateSpace, u: Array, y: Array, design: Design) -> tuple[Pipeline, StreamFinding]:
     """Return the pipeline whose noise model comes from quiet samples ``u (n, m)``, ``y (n, p)``, and what was found.
 
     The longest run of equal samples seen here sets what counts as a frozen sensor later.
@@ -301,4 +301,4 @@ def calibrated(plant: StateSpace, u: Array, y: Array, design: Design) -> tuple[P
     known = (2 * len(y)) ** -0.5
     height = tail_point(pipeline.problem.false_alarms.per_burst)  # d ln Q(h) / d ln sd is about h^2
     sure = f"known to {100 * known:.2g} %, alarm rates therefore to a factor of {math.exp(height**2 * known):.2g}"
-    return pipeline, Finding("calibrated", f"noise calibrated on {len(y)} quiet samples: residual sd {sd} ({sure})")
+    return pipeline, StreamFinding("calibrated", f"noise calibrated on {len(y)} quiet samples: residual sd {sd} ({sure})")

@@ -21,7 +21,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.api.signals import Block
-from afdsvc.diagnosis.data_quality import Finding
+from afdsvc.diagnosis.data_quality import StreamFinding
 from afdsvc.diagnosis.pipeline import Outcome, Pipeline, remember
 from afdsvc.errors import AfdsvcError, BadInput, Refused
 from afdsvc.lti.statespace import Array, StateSpace
@@ -96,7 +96,7 @@ class SpeedPipeline:
 
     def _catch_up(self) -> Outcome:
         """Judge some of the blocks that wait; a residual is handed out only where it belongs to the block that came last."""
-        findings: list[Finding] = []
+        findings: list[StreamFinding] = []
         if self._coming is not None:
             node, coming = self._coming
             self._coming = None
@@ -115,8 +115,8 @@ class SpeedPipeline:
         try:
             speed = block.column("aux_speed")
         except BadInput as missing:
-            return Outcome((), (Finding("bad_block", f"block {block.seq} of '{block.machine}': {missing}"),), None)
-        findings: list[Finding] = []
+            return Outcome((), (StreamFinding("bad_block", f"block {block.seq} of '{block.machine}': {missing}"),), None)
+        findings: list[StreamFinding] = []
         if self._pipeline is not None and not np.abs(speed - self._node).max() <= SLACK * self.spacing:
             findings.append(self._leave(block))
         if self._pipeline is not None:
@@ -124,12 +124,12 @@ class SpeedPipeline:
         findings += self._wait(block, speed)
         return Outcome((), tuple(findings), None)
 
-    def _leave(self, block: Block) -> Finding:
+    def _leave(self, block: Block) -> StreamFinding:
         self._pipeline, self._held, self._from = None, 0.0, float("nan")
         lost = f"; burst {block.burst} is not judged" if block.burst else ""
-        return Finding("speed", f"the speed leaves {self._node * RPM:.0f} rpm: decisions are suspended until it is steady{lost}")
+        return StreamFinding("speed", f"the speed leaves {self._node * RPM:.0f} rpm: decisions are suspended until it is steady{lost}")
 
-    def _wait(self, block: Block, speed: Array) -> list[Finding]:
+    def _wait(self, block: Block, speed: Array) -> list[StreamFinding]:
         """Count how long the speed has kept still; commission the machine where it has."""
         if not np.abs(speed - self._from).max() <= STILL * self.spacing:
             self._held, self._from = 0.0, float(speed[-1])
@@ -145,16 +145,16 @@ class SpeedPipeline:
         self._coming = node, self.later(partial(self.design, node))
         return []
 
-    def _commission(self, node: float, made: Callable[[], Pipeline]) -> Finding:
+    def _commission(self, node: float, made: Callable[[], Pipeline]) -> StreamFinding:
         try:
             pipeline = made()
         except AfdsvcError as error:
             self._without = node
-            return Finding("speed", f"at {node * RPM:.0f} rpm no decision is possible: {error}")
+            return StreamFinding("speed", f"at {node * RPM:.0f} rpm no decision is possible: {error}")
         for burst in self.bursts.values():
             pipeline.announce(burst)
         self._node, self._pipeline, self._problem, self._without = node, pipeline, pipeline.problem, float("nan")
-        return Finding("speed", f"model, thresholds and detectors are those of {node * RPM:.0f} rpm now")
+        return StreamFinding("speed", f"model, thresholds and detectors are those of {node * RPM:.0f} rpm now")
 
     def _nearest(self, speed: float) -> float:
         return self.spacing * round(speed / self.spacing)

@@ -14,7 +14,7 @@ import numpy as np
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem
 from afdsvc.detect.isolation import LineData, curve_fit
-from afdsvc.detect.model_uncertainty import Models, model_doubt, models
+from afdsvc.detect.model_uncertainty import HealthyMachines, model_doubt, models
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.fault_curves import FaultCurves, fault_curves
 from afdsvc.detect.statistics.line_tests import LargestProjection, LikelihoodRatio, LineTest
@@ -32,7 +32,7 @@ class ExpectedDetection:
     R: Array
     reach: Mapping[str, tuple[float, float]]
     doubt: Array
-    models: Models | None = None
+    models: HealthyMachines | None = None
     severity_range: tuple[float, float] = (-1.0, 0.0)
 
     def wave(self, fault: str, severity: float) -> Array:

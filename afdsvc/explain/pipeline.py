@@ -12,7 +12,7 @@ from afdsvc.api.model import Model
 from afdsvc.api.physics import Hypothesis, Physics
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.experiment import Run, joined, prepare
-from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.sample_checks import CheckFinding
 from afdsvc.dataset.split import Split, split
 from afdsvc.explain.check.check import checked, one_frequency
 from afdsvc.explain.check.response import refuse_still
@@ -67,19 +67,19 @@ def explain(
     return explanation
 
 
-def _checked(model: Model, recordings: Sequence[Trace], holdout: Sequence[Trace], trust_units: bool) -> tuple[tuple[Finding, ...], Split]:
+def _checked(model: Model, recordings: Sequence[Trace], holdout: Sequence[Trace], trust_units: bool) -> tuple[tuple[CheckFinding, ...], Split]:
     """Return what the check says, and what is fitted and held out."""
     given, recordings = len(recordings), joined(recordings)
     findings = checked(model, recordings, trust_units)
     if len(recordings) < given:
-        findings = (*findings, Finding("ok", "recordings", f"{given - len(recordings)} files go on where others end, and are taken as parts of them"))
+        findings = (*findings, CheckFinding("ok", "recordings", f"{given - len(recordings)} files go on where others end, and are taken as parts of them"))
     runs = prepare(model, [*recordings, *holdout])
     roles = split(runs[: len(recordings)], runs[len(recordings) :])
     refuse_still(model, roles)
     return findings, roles
 
 
-def _problem(model: Model, roles: Split, settings: Settings, findings: Sequence[Finding]) -> Problem:
+def _problem(model: Model, roles: Split, settings: Settings, findings: Sequence[CheckFinding]) -> Problem:
     if one_frequency(findings):  # a complex gain for every input and output distinguishes no effects
         settings = replace(settings, effects=1)
     return build(nominal(model, roles.train[0].dt, mean_input(roles.train)), roles.train, settings, roles.heldout)

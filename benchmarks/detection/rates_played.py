@@ -14,7 +14,7 @@ from rates_cases import RATES, RateCase
 from rates_counting import Rate, counted, weighted
 from scipy.special import logsumexp
 
-from afdsvc.detect.burst_detector import BurstSamples, Finding
+from afdsvc.detect.burst_detector import BurstFinding, BurstSamples
 from afdsvc.detect.features.regressors import Regressors, regressors
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.thresholds.power import tail_point
@@ -46,7 +46,7 @@ class Judge:
             out[j] = again.statistic > again.threshold
         return out
 
-    def found(self, j: int, shown: BurstSamples) -> Finding:
+    def found(self, j: int, shown: BurstSamples) -> BurstFinding:
         """Return what the detector finds at its rate number j."""
         s = self.statistics[j]
         sums, early = s.step(s.start(self.burst, self.dt), shown)  # type: ignore[attr-defined]

@@ -8,7 +8,7 @@ import pytest
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.detect.burst_detector import BurstSamples
 from afdsvc.detect.features.regressors import regressors
-from afdsvc.detect.model_uncertainty import Models, as_faults, model_doubt, model_waves, models
+from afdsvc.detect.model_uncertainty import HealthyMachines, as_faults, model_doubt, model_waves, models
 from afdsvc.detect.stability_range import reachable
 from afdsvc.detect.statistics.active_cusum import ActiveCusum
 from afdsvc.detect.statistics.fault_curves import fault_curves
@@ -64,7 +64,7 @@ def sampled(problem, lines, R, draws, generator):
     deviations, curves = uncertain_parameters(problem), fault_curves(as_faults(problem), lines)
     found = [curves.together({name: float(sd * generator.normal()) for name, sd in deviations.items()}) for _ in range(draws)]
     waves = np.array([(R @ point).ravel() for point, _ in found])
-    return Models(np.full(draws, 1 / draws), waves, np.array([covariance for _, covariance in found]))
+    return HealthyMachines(np.full(draws, 1 / draws), waves, np.array([covariance for _, covariance in found]))
 
 
 def test_linearisation_quadrature_and_sampling_agree_for_small_doubt():

@@ -20,7 +20,7 @@ from afdsvc.api.evidence import Evidence
 from afdsvc.api.signals import Block, Channel, residual_block
 from afdsvc.app import commissioning, ports
 from afdsvc.diagnosis.alarm_book import AlarmBook, Policy
-from afdsvc.diagnosis.data_quality import Finding as Trouble
+from afdsvc.diagnosis.data_quality import StreamFinding
 from afdsvc.diagnosis.pipeline import Outcome
 from afdsvc.errors import BadInput, Refused
 from afdsvc.files.recording.mcap_file import Header
@@ -188,7 +188,7 @@ def test_diagnostics_506_593_stale_is_not_an_error_and_the_reason_is_named():
 def test_diagnostics_167_168_two_things_in_one_moment_are_both_reported():
     """A queue of one overlooked the error between two good reports."""
     hub, watch, stream = service()
-    stream.outcome = Outcome((), (Trouble("bad_samples", "'y_x' is NaN"), Trouble("frozen_sensor", "'y_x' stands still")), None)
+    stream.outcome = Outcome((), (StreamFinding("bad_samples", "'y_x' is NaN"), StreamFinding("frozen_sensor", "'y_x' stands still")), None)
     hub._block(watch, codec.encode_block(block(0)))
     stream.outcome = Outcome((), (), np.zeros((50, 1)))
     hub._block(watch, codec.encode_block(block(1)))
@@ -347,7 +347,7 @@ def test_cpptango_559_alarms_are_judged_in_every_state():
 @pytest.mark.parametrize("thread", ["cpptango_330", "cpptango_555"])
 def test_a_value_that_cannot_be_read_is_an_alarm_and_no_crash(thread):
     hub, watch, stream = service()
-    stream.outcome = Outcome((), (Trouble("bad_samples", "'y_x' is NaN at sample 3"),), None)
+    stream.outcome = Outcome((), (StreamFinding("bad_samples", "'y_x' is NaN at sample 3"),), None)
     hub._block(watch, codec.encode_block(block()))
     alarm = hub.alarms.alarms["m1/bad_samples"]
     assert alarm.kind is AlarmKind.SYSTEM

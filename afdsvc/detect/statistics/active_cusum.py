@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.burst_detector import BurstSamples, Finding
+from afdsvc.detect.burst_detector import BurstFinding, BurstSamples
 from afdsvc.detect.features.demodulation import Basis, BasisSums, line_frequencies, window
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.model_uncertainty import models
@@ -102,7 +102,7 @@ class ActiveCusum:
         boundary = self._boundary(waves, ordered, roots) if len(of) else math.inf
         return CusumPlan(seen, waves, of, cusum(unit, severities, fitted.tolist(), block, boundary))
 
-    def step(self, sums: ActiveSums, samples: BurstSamples) -> tuple[ActiveSums, Finding | None]:
+    def step(self, sums: ActiveSums, samples: BurstSamples) -> tuple[ActiveSums, BurstFinding | None]:
         """Return the state after the samples and a finding at the first crossing."""
         omega = np.array(line_frequencies(sums.burst))
         flat = _with_lines(np.ascontiguousarray(samples.series[:, 0]), omega, samples.first, samples.dt)
@@ -113,12 +113,12 @@ class ActiveCusum:
         sums = replace(sums, state=state, cleaning=cleaning)
         return sums, None if at < 0 else self._finding(sums, who, samples.first + a + at)
 
-    def decide(self, sums: ActiveSums, burst: Burst, dt: float) -> Sequence[Finding]:
+    def decide(self, sums: ActiveSums, burst: Burst, dt: float) -> Sequence[BurstFinding]:
         """Return the finding at the end of a burst that did not cross the boundary."""
         who = int(np.argmax(sums.state.g)) if len(sums.plan.of) else 0
         return [self._finding(sums, who, burst.samples - 1)]
 
-    def _finding(self, sums: ActiveSums, who: int, sample: int) -> Finding:
+    def _finding(self, sums: ActiveSums, who: int, sample: int) -> BurstFinding:
         names = [self.problem.fault_names[i] for i in sums.plan.seen]
         return sums.plan.cusum.finding(sums.state, who, names, self.problem.severity_range, sample)
 

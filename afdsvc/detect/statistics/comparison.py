@@ -28,7 +28,7 @@ from scipy.stats import chi2
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.burst_detector import BurstSamples, Finding
+from afdsvc.detect.burst_detector import BurstFinding, BurstSamples
 from afdsvc.detect.features.demodulation import Basis, BasisSums
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
 from afdsvc.detect.features.regressors import predictor_gain, whitener
@@ -75,13 +75,13 @@ class Energy:
         energy, largest = _add_energy(e, sums.energy, sums.largest)
         return EnergySums(sums.n + len(e), energy, largest, cleaning), None
 
-    def decide(self, sums: EnergySums, burst: Burst, dt: float) -> Sequence[Finding]:
+    def decide(self, sums: EnergySums, burst: Burst, dt: float) -> Sequence[BurstFinding]:
         """Return one finding without any fault in it."""
         count = sums.n * self.outputs
         if self.peak:
             each = -np.expm1(np.log1p(-self.false_alarm) / count)
-            return [Finding(sums.largest, -float(ndtri(each / 2)))]
-        return [Finding(sums.energy, float(chi2.isf(self.false_alarm, count)))]
+            return [BurstFinding(sums.largest, -float(ndtri(each / 2)))]
+        return [BurstFinding(sums.energy, float(chi2.isf(self.false_alarm, count)))]
 
 
 @njit(cache=True)
@@ -141,7 +141,7 @@ class PublishedFilter:
         lines = sums.lines.add(_basis(burst), samples.first + a, samples.dt, r) if len(r) else sums.lines
         return PublishedSums(lines, cleaning), None
 
-    def decide(self, sums: PublishedSums, burst: Burst, dt: float) -> Sequence[Finding]:
+    def decide(self, sums: PublishedSums, burst: Burst, dt: float) -> Sequence[BurstFinding]:
         """Return one finding for every output; raises `Refused` for a burst without a steady sample."""
         if not sums.lines.n:
             raise Refused(
@@ -162,13 +162,13 @@ class PublishedFilter:
             waves.append(np.stack([r[k, :, line.input] * drive[k] for k, line in enumerate(ordered)]))
         return np.array(waves)
 
-    def _output(self, sums: BasisSums, waves: ComplexArray, i: int) -> Finding:
+    def _output(self, sums: BasisSums, waves: ComplexArray, i: int) -> BurstFinding:
         k = int(np.argmax(np.abs(waves[:, :, i]).max(axis=0)))
         a = waves[:, k, i]
         seen = np.flatnonzero(np.abs(a) > UNSEEN * np.abs(waves).max())
         name = self.problem.output_names[i] if i < len(self.problem.output_names) else str(i)
         if not len(seen):
-            return Finding(0.0, float("inf"), output=name)
+            return BurstFinding(0.0, float("inf"), output=name)
         sine, cosine = sums.B[2 * k, i], sums.B[2 * k + 1, i]
         unit = np.array([np.real(np.exp(-1j * np.angle(v)) * (sine + 1j * cosine)) for v in a[seen]])
         found = int(np.argmax(unit))
@@ -179,7 +179,7 @@ class PublishedFilter:
         chosen = self.problem.fault_names[seen[found]]
         weights = {f.fault: float(f.fault == chosen) for f in fits}
         parts = {"amplitude": 2 * float(unit[found]) / sums.n, "phase_deg": float(np.degrees(np.angle(a[seen[found]])) % 360)}
-        return Finding(A * float(unit[found]), float(gamma), fits, weights, parts, name)
+        return BurstFinding(A * float(unit[found]), float(gamma), fits, weights, parts, name)
 
     def _fit(self, j: int, a: ComplexArray, unit: float, n: int, sigma: float) -> Fit:
         """Return the severity read off the amplitude in proportion to that of the design."""
@@ -230,7 +230,7 @@ class Bank:
             ratio[k] = _add_ratio(counted[:, 0], counted[:, 1 + k], ratio[k])
         return BankSums(tuple(after for _, after in run), ratio, sums.n + len(signals), cleaning), None
 
-    def decide(self, sums: BankSums, burst: Burst, dt: float) -> Sequence[Finding]:
+    def decide(self, sums: BankSums, burst: Burst, dt: float) -> Sequence[BurstFinding]:
         """Return one finding: the likeliest model and the weights of the faults."""
         names = list(dict.fromkeys(name for name, _, _ in self.models))
         evidence, fits = [], []
@@ -242,7 +242,7 @@ class Bank:
         total = logsumexp(evidence)
         weights = {n: float(np.exp(v - total)) for n, v in zip(names, evidence, strict=True)}
         threshold = math.log(len(self.models) / self.false_alarm)
-        return [Finding(float(sums.ratio.max()), threshold, tuple(fits), weights, {"models": float(len(self.models))})]
+        return [BurstFinding(float(sums.ratio.max()), threshold, tuple(fits), weights, {"models": float(len(self.models))})]
 
     def _spacing(self, own: list[int]) -> float:
         """Return the standard deviation of a severity known to one step of the bank only."""

@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from afdsvc.detect.burst_detector import Finding
+from afdsvc.detect.burst_detector import BurstFinding
 from afdsvc.detect.features.sums import Products, add_products
 from afdsvc.detect.isolation import linear_fit, weights
 from afdsvc.detect.thresholds.deflection_boundary import DeflectionBoundary, boundary_at
@@ -95,18 +95,18 @@ class Cusum:
 
     def finding(
         self, state: CusumState, who: int, names: Sequence[str], bounds: tuple[float, float], sample: int
-    ) -> Finding:
+    ) -> BurstFinding:
         """Return a finding whose fits use the blocks since the CUSUM of hypothesis ``who`` last was zero.
 
         Such a stretch begins and ends where the data look faulty, so its severities are bounds, not estimates.
         """
         if not names:
-            return Finding(0.0, math.inf)
+            return BurstFinding(0.0, math.inf)
         b, G = self._segment(state, who)
         fits = tuple(linear_fit(n, float(v), float(i), bounds) for n, v, i in zip(names, b, G, strict=True))
         parts = {"sample": float(sample), "delay_samples": float(state.n[who])}
         crossed, boundary = float(state.g[who]), self.boundary_of(state, who)
-        return Finding(crossed if crossed > boundary else state.peak, boundary, fits, weights(fits), parts, early=True)
+        return BurstFinding(crossed if crossed > boundary else state.peak, boundary, fits, weights(fits), parts, early=True)
 
     def _segment(self, state: CusumState, who: int) -> tuple[Array, Array]:
         """Return score and information ``(K,)`` of the fitted hypotheses since g of ``who`` last was zero."""

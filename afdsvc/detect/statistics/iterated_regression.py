@@ -24,7 +24,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
-from afdsvc.detect.burst_detector import BurstSamples, Finding
+from afdsvc.detect.burst_detector import BurstFinding, BurstSamples
 from afdsvc.detect.features.demodulation import Basis, BasisSums, project
 from afdsvc.detect.features.nuisances import NONE, Nuisances
 from afdsvc.detect.features.regressors import predictor_gain, whitener
@@ -82,14 +82,14 @@ class Iterated:
         lines = lines.add(basis, samples.first, samples.dt, samples.series[:, 0], angle)
         return Recorded((*sums.blocks, block), lines), None
 
-    def decide(self, sums: Recorded, burst: Burst, dt: float) -> Sequence[Finding]:
+    def decide(self, sums: Recorded, burst: Burst, dt: float) -> Sequence[BurstFinding]:
         """Return one finding for all outputs together."""
         signals = sums.whole()
         healthy = self._error({}, signals)
         scores = np.array([self._slope(name, 0.0, signals) for name in self.problem.fault_names])
         seen = np.flatnonzero(np.sum(scores**2, axis=1) > 1e-12)
         if healthy is None or not len(seen):
-            return [Finding(0.0, float("inf"))]
+            return [BurstFinding(0.0, float("inf"))]
         fits = [self._fit(name, signals, healthy) for name in self.problem.fault_names]
         h = maximum.maximum_threshold(_gram_vectors(scores[seen]), self.problem.false_alarms.per_burst)
         basis = self._basis(burst, self.nuisances.turning(signals))
@@ -100,7 +100,7 @@ class Iterated:
         standard, parts = ((root - mean) / sd)[seen], {"samples": float(samples)}
         slopes = -(scores[seen] @ scores.T) / (length[seen] * sd[seen])[:, None]
         found = tuple(limited(f, standard - h, slopes[:, i]) for i, f in enumerate(fits))
-        return [Finding(float(standard.max()), h, found, weights(fits, other), parts)]
+        return [BurstFinding(float(standard.max()), h, found, weights(fits, other), parts)]
 
     def _fit(self, name: str, signals: ResidualBlock, healthy: Array) -> Fit:
         """Return the likeliest severity of one fault; ``healthy`` is the error of the healthy model."""

@@ -19,7 +19,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
 from afdsvc.detect.isolation import LineData
-from afdsvc.detect.model_uncertainty import Models
+from afdsvc.detect.model_uncertainty import HealthyMachines
 from afdsvc.detect.statistics.fault_curves import FaultCurves
 from afdsvc.detect.thresholds.maximum import points, reduced
 from afdsvc.lti.statespace import Array
@@ -65,7 +65,7 @@ def threshold(waves: Array, false_alarm: float) -> float:
     return low if excess(low) <= 0 else float(brentq(excess, low, high, xtol=1e-5))
 
 
-def robust_threshold(waves: Array, factor: Array, found: Models, false_alarm: float) -> float:
+def robust_threshold(waves: Array, factor: Array, found: HealthyMachines, false_alarm: float) -> float:
     """Return c at which the largest ratio exceeds c with probability ``false_alarm`` averaged over the models.
 
     ``factor`` is the Cholesky factor of the covariance the ``waves`` were whitened with.

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from afdsvc.detect.isolation import LineData
-from afdsvc.detect.model_uncertainty import Models, threshold_over_models
+from afdsvc.detect.model_uncertainty import HealthyMachines, threshold_over_models
 from afdsvc.detect.statistics import likelihood_ratio
 from afdsvc.detect.statistics.fault_curves import FaultCurves
 from afdsvc.detect.thresholds import maximum
@@ -36,7 +36,7 @@ class LineTest(Protocol):
         """Return the statistic of whitened coordinates ``z (D,)``."""
         ...
 
-    def threshold(self, waves: Array, data: LineData, models: Models | None, false_alarm: float) -> float:
+    def threshold(self, waves: Array, data: LineData, models: HealthyMachines | None, false_alarm: float) -> float:
         """Return the threshold of the whole set."""
         ...
 
@@ -60,7 +60,7 @@ class LargestProjection:
         """Return the largest projection."""
         return float(np.max(_unit(waves) @ z))
 
-    def threshold(self, waves: Array, data: LineData, models: Models | None, false_alarm: float) -> float:
+    def threshold(self, waves: Array, data: LineData, models: HealthyMachines | None, false_alarm: float) -> float:
         """Return the threshold of the largest projection."""
         if models is None:
             return maximum.maximum_threshold(_unit(waves), false_alarm)
@@ -85,7 +85,7 @@ class LikelihoodRatio:
         """Return the signed root of the largest ratio, 0 when every ratio speaks against a fault."""
         return math.sqrt(max(2 * likelihood_ratio.statistic(waves, z), 0.0))
 
-    def threshold(self, waves: Array, data: LineData, models: Models | None, false_alarm: float) -> float:
+    def threshold(self, waves: Array, data: LineData, models: HealthyMachines | None, false_alarm: float) -> float:
         """Return the threshold of the root."""
         if models is None:
             return math.sqrt(2 * likelihood_ratio.threshold(waves, false_alarm))

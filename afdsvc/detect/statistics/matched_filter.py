@@ -17,7 +17,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst, Line
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.burst_detector import BurstSamples, Finding
+from afdsvc.detect.burst_detector import BurstFinding, BurstSamples
 from afdsvc.detect.combinations import paired_on_lines
 from afdsvc.detect.features.demodulation import Basis, BasisSums, Lines, line_frequencies, project
 from afdsvc.detect.features.demodulation import window as window
@@ -83,19 +83,19 @@ class MatchedFilter:
             sums = BasisSums.empty(basis, e.shape[1])
         return sums.add(basis, samples.first + a, samples.dt, e, None if angle is None else angle[a:b]), None
 
-    def decide(self, sums: BasisSums, burst: Burst, dt: float) -> Sequence[Finding]:
+    def decide(self, sums: BasisSums, burst: Burst, dt: float) -> Sequence[BurstFinding]:
         """Return one finding for all lines and outputs together."""
         lines, curves, data = self._reduced(sums, burst)
         waves = self.line_test.waves(curves, data, reachable(self.problem))
         statistic, h = self._judged(waves, data, burst)
         if not h < math.inf:
-            return [Finding(statistic, h)]
+            return [BurstFinding(statistic, h)]
         z, reach = data.whitened(np.eye(data.z.size), data.z)[0], reachable(self.problem)
         rows, heights = self.line_test.comparisons(waves, h)
         fits = tuple(curve_fit(curves, n, data, reach[n]) for n in curves.names)
         fits = tuple(limited(f, rows @ z - heights, rows @ data.white_waves(data.R @ curves.slope(f.fault, f.severity)[None])[0]) for f in fits)
         parts = {"samples": float(sums.n), "tests": self.problem.false_alarms.per_burst / tail(h), **_amplitudes(lines, _ordered(burst))}
-        finding = Finding(statistic, h, fits, weights(fits, anything_log_evidence(z)), parts)
+        finding = BurstFinding(statistic, h, fits, weights(fits, anything_log_evidence(z)), parts)
         return [paired_on_lines(finding, curves, data, reach, sums.n) if statistic > h else finding]
 
     def test(self, sums: BasisSums, burst: Burst) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from afdsvc.api.detection import DetectionProblem, ResidualBlock
 from afdsvc.api.evidence import Evidence
-from afdsvc.detect.burst_detector import Finding, evidence
+from afdsvc.detect.burst_detector import BurstFinding, evidence
 from afdsvc.detect.features.data_checks import Runs
 from afdsvc.detect.features.front_end import filtered
 from afdsvc.detect.features.nuisances import NONE, Cleaning, Nuisances
@@ -184,7 +184,7 @@ class PassiveDetector:
         recent = state.recent.until(k, self._remembered)
         return recent.explained(self.gate, self.filters, self.nuisances, self.problem) or found
 
-    def _evidence(self, state: PassiveState, finding: Finding, k: int, dt: float, complaint: str = "") -> Evidence:
+    def _evidence(self, state: PassiveState, finding: BurstFinding, k: int, dt: float, complaint: str = "") -> Evidence:
         judgement = self._judgement(state, k)
         still = [i for i, run in enumerate(state.runs.length) if run >= self.frozen]
         complaint = f"sensor '{self._output(still[0])}' stands still" if still else complaint
@@ -203,7 +203,7 @@ class PassiveDetector:
         ok, parts = ok or self._judgement(state, k, self.doubt_level).ok, PARTS if ok else 1
         if not ok and not state.doubted:
             peak = float(state.cusum.g.max(initial=0.0))
-            found.append(self._evidence(state, Finding(peak, self.boundary), k, dt))
+            found.append(self._evidence(state, BurstFinding(peak, self.boundary), k, dt))
         return replace(state, doubted=not ok, parts=parts)
 
     def _to_part(self, state: PassiveState) -> int:

@@ -20,7 +20,7 @@ import numpy as np
 
 from afdsvc.api.bursts import Burst
 from afdsvc.api.detection import DetectionProblem
-from afdsvc.detect.burst_detector import BurstSamples, Finding
+from afdsvc.detect.burst_detector import BurstFinding, BurstSamples
 from afdsvc.detect.combinations import OPEN, Combination, alike, besides, combined, course, likeliest_combination, paired
 from afdsvc.detect.features.burst_noise import energy, noise_compared
 from afdsvc.detect.features.demodulation import Basis, BasisSums, project
@@ -98,7 +98,7 @@ class Regression:
             parts = (*parts, (products, total)) if b % length == 0 or b == samples.block.burst.samples else parts
         return RegressionSums(products, lines, cleaning, total, parts), None
 
-    def decide(self, sums: RegressionSums, burst: Burst, dt: float) -> Sequence[Finding]:
+    def decide(self, sums: RegressionSums, burst: Burst, dt: float) -> Sequence[BurstFinding]:
         """Return one finding for all outputs together."""
         b, G = self.normal_equations(sums)
         statistic, h = self.judged(sums.products.n, b, G, burst)
@@ -107,7 +107,7 @@ class Regression:
         parts, weight = {"samples": float(sums.products.n)}, weights(fits, self._anything(sums, burst))
         limits = self._limited(fits, sums.products.n, b, G, burst, h)
         adjusted = tuple(self._unbiased(f, burst, statistic > h and weight[f.fault] > LIKELY) for f in limits)
-        finding = Finding(statistic, h, adjusted, weight, parts)
+        finding = BurstFinding(statistic, h, adjusted, weight, parts)
         return [self._explained(finding, sums, b, G) if statistic > h else finding]
 
     def _unbiased(self, fit: Fit, burst: Burst, likely: bool) -> Fit:
@@ -130,7 +130,7 @@ class Regression:
         excess = (-b / root - mean) / sd - threshold
         return tuple(limited(f, excess[seen], (-G[seen, i] / root[seen]) / sd[seen]) for i, f in enumerate(fits))
 
-    def _explained(self, finding: Finding, sums: RegressionSums, b: Array, G: Array) -> Finding:
+    def _explained(self, finding: BurstFinding, sums: RegressionSums, b: Array, G: Array) -> BurstFinding:
         """Return a finding that two faults explain, or one whose fault changed during the burst, or what remains unexplained."""
         n, seen = sums.products.n, np.flatnonzero(np.diag(G) > UNSEEN * np.diag(G).max(initial=0.0)).tolist()
         found = combined(b, G, seen, self.bounds)
@@ -144,7 +144,7 @@ class Regression:
         changed = self._changed(finding, sums, single)
         return changed if changed is not finding else self._left(finding, sums, single, b, G)
 
-    def _changed(self, finding: Finding, sums: RegressionSums, single: Combination) -> Finding:
+    def _changed(self, finding: BurstFinding, sums: RegressionSums, single: Combination) -> BurstFinding:
         """Return the finding with the course of its fault and its severity at the end, where the fault did not stay the same."""
         if not sums.parts:
             return finding
@@ -164,7 +164,7 @@ class Regression:
         theta = self.theta[fault : fault + 1]
         return float(products.score(theta)[0]), float(products.information(theta)[0, 0])
 
-    def _left(self, finding: Finding, sums: RegressionSums, best: Combination, b: Array, G: Array) -> Finding:
+    def _left(self, finding: BurstFinding, sums: RegressionSums, best: Combination, b: Array, G: Array) -> BurstFinding:
         """Return the finding without a name where the residual holds more energy than noise and the best explanation."""
         own = list(best.faults)
         left = sums.energy - 2 * float(best.severity @ b[own]) + float(best.severity @ G[np.ix_(own, own)] @ best.severity)

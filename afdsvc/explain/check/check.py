@@ -10,7 +10,7 @@ from afdsvc.api.signals import Trace
 from afdsvc.dataset.arrays import check_columns
 from afdsvc.dataset.excitation import SINE, check_excitation
 from afdsvc.dataset.experiment import prepare
-from afdsvc.dataset.sample_checks import Finding, samples
+from afdsvc.dataset.sample_checks import CheckFinding, samples
 from afdsvc.errors import BadInput
 from afdsvc.explain.check.gain import gains
 from afdsvc.explain.check.information import ambiguities, information
@@ -22,7 +22,7 @@ from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import mean_input, nominal
 
 
-def check(model: Model, traces: Sequence[Trace]) -> tuple[Finding, ...]:
+def check(model: Model, traces: Sequence[Trace]) -> tuple[CheckFinding, ...]:
     """Return what was found, one sentence each; those of kind "stop" forbid naming any physics.
 
     Raises nothing for data that do not fit: the refusal is a finding.
@@ -31,7 +31,7 @@ def check(model: Model, traces: Sequence[Trace]) -> tuple[Finding, ...]:
         runs = prepare(model, traces)
         nom = nominal(model, runs[0].dt, mean_input(runs))
     except BadInput as error:
-        return (Finding("stop", "columns", str(error)),)
+        return (CheckFinding("stop", "columns", str(error)),)
     problem = build(nom, runs, Settings())
     response = caused(problem)
     return (
@@ -47,7 +47,7 @@ def check(model: Model, traces: Sequence[Trace]) -> tuple[Finding, ...]:
     )
 
 
-def checked(model: Model, traces: Sequence[Trace], trust_units: bool = False) -> tuple[Finding, ...]:
+def checked(model: Model, traces: Sequence[Trace], trust_units: bool = False) -> tuple[CheckFinding, ...]:
     """Return what `check` found; raises `BadInput` where it forbids naming any physics (excitation apart).
 
     ``trust_units`` makes warnings of what looks like wrong units or signs.
@@ -60,17 +60,17 @@ def checked(model: Model, traces: Sequence[Trace], trust_units: bool = False) ->
     return findings
 
 
-def objection(findings: Sequence[Finding]) -> str:
+def objection(findings: Sequence[CheckFinding]) -> str:
     """Return why nothing should be named from these recordings (units, signs, columns), "" when nothing forbids it."""
     return " ".join(f.sentence for f in findings if f.kind == "stop" and f.topic != "excitation")
 
 
-def insufficient_excitation(findings: Sequence[Finding]) -> str:
+def insufficient_excitation(findings: Sequence[CheckFinding]) -> str:
     """Return why the excitation allows no answer, with the burst that would; "" when it suffices."""
     return " ".join(f.sentence for f in findings if f.kind == "stop" and f.topic == "excitation")
 
 
-def one_frequency(findings: Sequence[Finding]) -> str:
+def one_frequency(findings: Sequence[CheckFinding]) -> str:
     """Return what inputs excited at one frequency leave open; "" when every excited input has more."""
     said = [f.sentence for f in findings if f.topic == SINE]
     return " ".join(said) if said and not any(f.topic == "inputs" and f.kind == "ok" for f in findings) else ""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.sample_checks import CheckFinding
 from afdsvc.dataset.split import still
 from afdsvc.explain.check.comparison import SHARE
 from afdsvc.explain.check.lines import ComplexArray, ExcitedLines
@@ -40,7 +40,7 @@ class _Path:
     explained: float
 
 
-def gains(nominal: Nominal, lines: ExcitedLines, runs: Sequence[Run]) -> Iterator[Finding]:
+def gains(nominal: Nominal, lines: ExcitedLines, runs: Sequence[Run]) -> Iterator[CheckFinding]:
     """Yield what the measured gains say about units and signs, and the best shift about clocks."""
     if len(lines.angle) < 2:
         return
@@ -50,10 +50,10 @@ def gains(nominal: Nominal, lines: ExcitedLines, runs: Sequence[Run]) -> Iterato
     wrong = [*_factors(nominal, paths), *_others(nominal, lines, reported)]
     yield from wrong
     if paths and not wrong:
-        yield Finding("ok", "units", "the measured gains agree with the model's within a factor of three, signs included")
+        yield CheckFinding("ok", "units", "the measured gains agree with the model's within a factor of three, signs included")
     elif not wrong and len(reported) < len(nominal.model.outputs):
         said = "the model follows less than half of what the inputs cause in any output, so units and signs cannot be compared with it"
-        yield Finding("warning", "units", f"{said}; expected its numbers in seconds and its own units: a point as decimal sign, the highest power first")
+        yield CheckFinding("warning", "units", f"{said}; expected its numbers in seconds and its own units: a point as decimal sign, the highest power first")
     if not wrong:
         for j in range(terms.shape[1]):
             yield from _shift(nominal, terms[:, j], lines, j, runs)
@@ -84,7 +84,7 @@ def _real_fit(X: ComplexArray, y: ComplexArray) -> tuple[Array, float]:
     return c / scale, float(rest @ rest)
 
 
-def _factors(nominal: Nominal, paths: list[_Path]) -> Iterator[Finding]:
+def _factors(nominal: Nominal, paths: list[_Path]) -> Iterator[CheckFinding]:
     """Yield one finding per channel whose factor is far from one, the input blamed when all its paths share the factor."""
     blamed: set[tuple[int, int]] = set()
     for i, v in enumerate(nominal.model.inputs):
@@ -104,13 +104,13 @@ def _factors(nominal: Nominal, paths: list[_Path]) -> Iterator[Finding]:
             yield _finding(f"y_{v.name}", own[0].factor, own[0].explained, also)
 
 
-def _others(nominal: Nominal, lines: ExcitedLines, reported: Collection[int]) -> Iterator[Finding]:
+def _others(nominal: Nominal, lines: ExcitedLines, reported: Collection[int]) -> Iterator[CheckFinding]:
     """Yield a finding per output that hardly moves where the model says it does, and in another way."""
     measured, simulated = (np.sqrt((np.abs(x) ** 2).sum(0)) for x in (lines.Y, lines.parts.sum(2)))
     for j, v in enumerate(nominal.model.outputs):
         if j not in reported and measured[j] < TINY * simulated[j]:
             said = f"y_{v.name} moves {measured[j] / simulated[j]:.2g} times as much as the model says and does not follow it"
-            yield Finding("stop", "units", f"{said}; expected the column and the unit of '{v.name}': are columns exchanged? explain --trust-units (trust_units=True) goes on where they are right")
+            yield CheckFinding("stop", "units", f"{said}; expected the column and the unit of '{v.name}': are columns exchanged? explain --trust-units (trust_units=True) goes on where they are right")
 
 
 def _off(factor: float) -> bool:
@@ -121,7 +121,7 @@ def _same(a: float, b: float) -> bool:
     return a * b > 0 and abs(np.log(a / b)) < np.log(2.0)
 
 
-def _finding(channel: str, factor: float, explained: float, also: str = "") -> Finding:
+def _finding(channel: str, factor: float, explained: float, also: str = "") -> CheckFinding:
     far = {abs(float(np.log(abs(factor) / value))): text for value, text in FACTORS.items()}
     known = [far[min(far)]] if min(far) < np.log(ALIKE) else []
     size = abs(factor)
@@ -130,10 +130,10 @@ def _finding(channel: str, factor: float, explained: float, also: str = "") -> F
     what = [f"{size:.4g} times what the model says{f', about {known[0]}' if known else ''}"] if scaled else []
     what += [f"of the opposite sign (factor {factor:.3g})"] if turned else []
     mend = f"expected the model's {'unit' if scaled else 'sign'}" + ("; explain --trust-units (trust_units=True) goes on where both are right" if stop else "")
-    return Finding("stop" if stop else "warning", "units", f"{channel} is {' and '.join(what)}{also}; {mend}")
+    return CheckFinding("stop" if stop else "warning", "units", f"{channel} is {' and '.join(what)}{also}; {mend}")
 
 
-def _shift(nominal: Nominal, terms: ComplexArray, lines: ExcitedLines, j: int, runs: Sequence[Run]) -> Iterator[Finding]:
+def _shift(nominal: Nominal, terms: ComplexArray, lines: ExcitedLines, j: int, runs: Sequence[Run]) -> Iterator[CheckFinding]:
     y = lines.Y[:, j]
     weight = 1 / np.sqrt(np.abs(y) ** 2 + np.mean(np.abs(y) ** 2) + 1e-300)
     X = terms * weight[:, None]
@@ -147,7 +147,7 @@ def _shift(nominal: Nominal, terms: ComplexArray, lines: ExcitedLines, j: int, r
     name = nominal.model.outputs[j].name
     how = "late" if best > 0 else "early"
     reason = "or there is a transport delay; where it is the clocks, shift one of the columns" if best > 0 else "for no machine answers before it is driven; shift one of the columns"
-    yield Finding(
+    yield CheckFinding(
         "warning", "synchronisation",
         f"y_{name} comes {abs(best)} samples {how} ({abs(best) * runs[0].dt:.3g} s) against the inputs compared with the model: clocks out of step, {reason}",
     )

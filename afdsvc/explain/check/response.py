@@ -9,7 +9,7 @@ from scipy import signal, stats
 
 from afdsvc.api.model import Model
 from afdsvc.dataset.experiment import Run
-from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.sample_checks import CheckFinding
 from afdsvc.dataset.split import Split, still_readings
 from afdsvc.errors import BadInput
 from afdsvc.explain.check.gain import STOP
@@ -28,7 +28,7 @@ CAUSED = 0.5  # rms of what the model says the inputs cause, over that of the ou
 REPEATS = 0.02  # share of the output that repeats with the excitation, from which it responds
 
 
-def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
+def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[CheckFinding]:
     """Yield a stop for every output that no flexible model predicts from the inputs better than from time-shifted ones.
 
     Asked only where the model says that the inputs cause most of the output, and where no controller feeds it back. Recordings that hold
@@ -47,7 +47,7 @@ def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
     if _stretches(runs) < GapSettings().needed_blocks:
         for j in silent:
             if nominal.plant.is_stable() and caused[j] > STOP:
-                yield Finding(
+                yield CheckFinding(
                     "stop", "response",
                     f"y_{model.outputs[j].name} is not correlated with the inputs, and the model says that they move it {caused[j]:.3g} times as much as it moves; "
                     "expected columns recorded together on the machine of the model, in its units",
@@ -61,7 +61,7 @@ def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
     for i, name in enumerate(names):
         repeats = 0.0 if tested.repeats is None else tested.repeats[i]
         if tested.enough and tested.r2[i] < tested.threshold[i] and repeats < REPEATS:
-            yield Finding(
+            yield CheckFinding(
                 "stop", "response",
                 f"y_{name} does not respond to {inputs}: of the output, {100 * max(tested.r2[i], 0.0):.1f} % is predictable from the inputs, no more "
                 "than from time-shifted ones; expected columns recorded together on the machine of the model",
@@ -70,8 +70,8 @@ def responding(nominal: Nominal, runs: Sequence[Run]) -> Iterator[Finding]:
             yield _doubtful(name, inputs)
 
 
-def _doubtful(name: str, inputs: str) -> Finding:
-    return Finding(
+def _doubtful(name: str, inputs: str) -> CheckFinding:
+    return CheckFinding(
         "warning", "response",
         f"y_{name} is not clearly correlated with {inputs}, nor with what the model makes of them, and moves too slowly for a test of more; "
         "expected columns recorded together on the machine of the model: is this the right one?",

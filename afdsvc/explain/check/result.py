@@ -12,7 +12,7 @@ from afdsvc.api.model import Model
 from afdsvc.api.physics import Axis, Hypothesis, Machine, Physics, Size
 from afdsvc.api.signals import Trace
 from afdsvc.dataset.experiment import Run, prepare
-from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.sample_checks import CheckFinding
 from afdsvc.errors import BadInput
 from afdsvc.explain.check.check import check
 from afdsvc.explain.check.comparison import Compared, compared
@@ -51,7 +51,7 @@ class CheckResult:
     """
 
     model: Model
-    findings: tuple[Finding, ...]
+    findings: tuple[CheckFinding, ...]
     outputs: tuple[Compared, ...] = ()
     offers: Offers = NOTHING
     plan: MethodPlan = field(default_factory=MethodPlan)

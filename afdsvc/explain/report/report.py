@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from afdsvc.api.physics import Physics
-from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.sample_checks import CheckFinding
 from afdsvc.dataset.split import Split
 from afdsvc.explain.check.check import insufficient_excitation, one_frequency
 from afdsvc.explain.experiment.next_experiment import experiment_after, first_experiment
@@ -36,7 +36,7 @@ CLEAR = 3.0  # standard deviations from which a load is reported
 
 
 def report(
-    found: Found, answer: HeldOutVerdict, roles: Split, findings: Sequence[Finding], library: Iterable[Physics], experiment: bool = True,
+    found: Found, answer: HeldOutVerdict, roles: Split, findings: Sequence[CheckFinding], library: Iterable[Physics], experiment: bool = True,
     mapper: Mapper = map,
 ) -> Explanation:
     """Return the explanation: names, courses and fits on what was held out; ``experiment`` False leaves out the next experiment.
@@ -75,7 +75,7 @@ def _nearest(found: Found, verdict: Verdict) -> tuple[Nearest, ...]:
     return nearest(found) if verdict.verdict == "unexplained" or short else ()
 
 
-def _excited(verdict: Verdict, findings: Sequence[Finding]) -> Verdict:
+def _excited(verdict: Verdict, findings: Sequence[CheckFinding]) -> Verdict:
     """Return the verdict, or that excitation or length of the recordings do not allow one where nothing can be named."""
     poor = insufficient_excitation(findings)
     if verdict.verdict == "unexplained":

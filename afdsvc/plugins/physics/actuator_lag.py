@@ -10,7 +10,7 @@ import numpy as np
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.lti.statespace import StateSpace
-from afdsvc.plugins.physics.attach import at_input, at_state, following
+from afdsvc.plugins.physics.attach import at_input, at_state, input_followers
 
 
 def low_pass(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -69,7 +69,7 @@ class ActuatorLag:
                 port, low_pass, memory=1, unsettled=1, parameters=constants[1:], starts=[(a * span, b * span) for a, b in ((0.3, 1.0), (1.0, 0.3), (1.0, 10.0), (10.0, 1.0))],
                 notes={"variant": "rising and falling", "of": ""}, **uneven_words,
             )
-        for x, reads, constants in following(machine):
+        for x, reads, constants in input_followers(machine):
             yield at_state(
                 x, direction_dependent, reads, starts=[(0.0, 0.0, *(c.low for c in constants))], notes={"variant": "rising and falling", "of": ""},
                 parameters=[*(Coefficient(f"change of the rate {way}", "", -0.95, 20.0, 0.02, linear=True) for way in ("rising", "falling")), *constants], **uneven_words,

@@ -125,7 +125,7 @@ def balance(machine: Machine, moved: Size) -> tuple[list[Signal], list[Coefficie
     return [signal for signal, _ in terms], [constant("nominal", "", v) for _, v in terms]
 
 
-def following(machine: Machine) -> Iterator[tuple[Size, list[Signal], list[Coefficient]]]:
+def input_followers(machine: Machine) -> Iterator[tuple[Size, list[Signal], list[Coefficient]]]:
     """Yield every state that does nothing but follow an input, with what `balance` returns."""
     for x in machine.states:
         reads, constants = balance(machine, x)

@@ -18,19 +18,19 @@ _JUMP: dict[str, Any] = {
 }
 
 
-def coulomb(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def coulomb_force(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-F tanh(v / w)``, the rounding ``w`` never narrower than one step can follow."""
     out[0] -= p[0] * math.tanh(z[0] / (p[1] + p[0] * dt))
 
 
 def asymmetric(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`coulomb` with a force of its own for each direction: while it moves, even friction of their mean and a load of half their difference."""
+    """`coulomb_force` with a force of its own for each direction: while it moves, even friction of their mean and a load of half their difference."""
     size = p[0] if z[0] > 0 else p[1]
     out[0] -= size * math.tanh(z[0] / (p[2] + size * dt))
 
 
 def loaded(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`coulomb` of ``F + c |load|``; the load is a sum of the signals behind the velocity, coefficients ``p[3:]``."""
+    """`coulomb_force` of ``F + c |load|``; the load is a sum of the signals behind the velocity, coefficients ``p[3:]``."""
     load = 0.0
     for k in range(1, len(z)):
         load += p[2 + k] * z[k]
@@ -39,14 +39,14 @@ def loaded(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 def along(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`coulomb` of ``F + a d + b d^2`` where that is positive; ``d = (q - mean) / rms`` is the place."""
+    """`coulomb_force` of ``F + a d + b d^2`` where that is positive; ``d = (q - mean) / rms`` is the place."""
     d = (z[1] - p[4]) / p[5]
     size = max(p[0] + p[1] * d + p[2] * d * d, 0.0)
     out[0] -= size * math.tanh(z[0] / (p[3] + size * dt))
 
 
 def _joint(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`coulomb` of a relative velocity ``v_1 + s_2 v_2 + ...``; axis k takes ``s_k`` times ``r_k`` of it, ``p[2:] = s_2, ..., r_2, ...``."""
+    """`coulomb_force` of a relative velocity ``v_1 + s_2 v_2 + ...``; axis k takes ``s_k`` times ``r_k`` of it, ``p[2:] = s_2, ..., r_2, ...``."""
     n, rate, felt = len(out), z[0], 1.0
     for k in range(1, n):
         rate += p[1 + k] * z[k]
@@ -118,7 +118,7 @@ def rounding(rate: Size) -> Coefficient:
 def _on(axis: Axis, machine: Machine) -> Iterable[Hypothesis]:
     v, width = axis.rate.rms, rounding(axis.rate)
     size = force(axis, "force", 0.0, 20 * axis.push, 0.1 * axis.push, linear=True)
-    yield at_force(axis, coulomb, [velocity(axis)], parameters=[size, width], starts=[(0.0, 0.02 * v), (0.0, 0.2 * v)], **_WORDS, **_JUMP)
+    yield at_force(axis, coulomb_force, [velocity(axis)], parameters=[size, width], starts=[(0.0, 0.02 * v), (0.0, 0.2 * v)], **_WORDS, **_JUMP)
     both = [force(axis, n, 0.0, 20 * axis.push, 0.1 * axis.push, linear=True) for n in ("force forwards", "force backwards")]
     yield at_force(
         axis, asymmetric, [velocity(axis)], parameters=[*both, width], starts=[(0.0, 0.0, 0.02 * v), (0.0, 0.0, 0.2 * v)],

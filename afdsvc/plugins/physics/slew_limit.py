@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
-from afdsvc.plugins.physics.attach import at_input, at_state, following
+from afdsvc.plugins.physics.attach import at_input, at_state, input_followers
 
 
 def _slew(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -22,7 +22,7 @@ def _slew(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     m[0] += moved
 
 
-def limited(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def rate_limited(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """The rate of change of a state, ``p[2:] z``, held between ``-p[1]`` and ``p[0]``."""
     rate = 0.0
     for k in range(len(z)):
@@ -51,10 +51,10 @@ class SlewLimit:
                 ],
                 starts=[(s, s) for s in (0.1 * rate, 0.4 * rate, 1.0 * rate, 2.2 * rate, 3.5 * rate, 5 * jump)],
             )
-        for x, reads, constants in following(machine):
+        for x, reads, constants in input_followers(machine):
             rate = x.rms * machine.bandwidth
             yield at_state(
-                x, limited, reads, **words,
+                x, rate_limited, reads, **words,
                 parameters=[*(Coefficient(name, f"{x.unit}/s", 1e-3 * rate, 20 * rate, 0.02 * rate) for name in ("rate", "falling rate")), *constants],
                 starts=[(s * rate, s * rate, *(c.low for c in constants)) for s in (0.1, 0.3, 0.8, 1.5)],
             )

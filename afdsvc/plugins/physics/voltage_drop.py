@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_state, decaying, quantity, state
-from afdsvc.plugins.physics.coulomb_friction import coulomb, rounding
+from afdsvc.plugins.physics.coulomb_friction import coulomb_force, rounding
 
 
 class VoltageDrop:
@@ -24,7 +24,7 @@ class VoltageDrop:
                 size = abs(float(machine.plant.B[x.index, u.index])) * u.rms
                 if size and x.reverses and (quantity(x.unit) == "current" or quantity(u.unit) == "voltage"):
                     yield at_state(
-                        x, coulomb, [state(x)], physics=self.name, family="friction", starts=[(0.0, share * x.rms) for share in (0.02, 0.2)],
+                        x, coulomb_force, [state(x)], physics=self.name, family="friction", starts=[(0.0, share * x.rms) for share in (0.02, 0.2)],
                         parameters=[
                             Coefficient("voltage", u.unit, 0.0, 20 * size, 0.05 * size, linear=True, through=(x.index, u.index), unsigned=True),
                             rounding(x),

@@ -11,7 +11,7 @@ import pytest
 from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare, repetition
-from afdsvc.dataset.sample_checks import Finding
+from afdsvc.dataset.sample_checks import CheckFinding
 from afdsvc.errors import BadInput
 from afdsvc.explain.check.check import check, insufficient_excitation, objection, one_frequency
 from afdsvc.explain.check.information import ambiguities, posterior_sd
@@ -45,7 +45,7 @@ def spoiled(column: str, change, traces: tuple[Trace, ...] | None = None) -> lis
     return out
 
 
-def reported(findings: tuple[Finding, ...], topic: str) -> str:
+def reported(findings: tuple[CheckFinding, ...], topic: str) -> str:
     return " ".join(f.sentence for f in findings if f.topic == topic and f.kind != "ok")
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, coulomb, loaded, slip
+from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, coulomb_force, loaded, slip
 from afdsvc.plugins.physics.stribeck_friction import _stribeck, presliding
 
 RUBBING = [
-    (coulomb, (3.0, 1e-4), 1), (asymmetric, (3.0, 0.7, 1e-4), 1), (_stribeck, (2.0, 4.0, 0.3, 1e-4), 1),
+    (coulomb_force, (3.0, 1e-4), 1), (asymmetric, (3.0, 0.7, 1e-4), 1), (_stribeck, (2.0, 4.0, 0.3, 1e-4), 1),
     (loaded, (1.0, 0.5, 1e-4, 2.0), 2), (along, (1.0, 0.5, -0.8, 1e-4, 0.1, 1.0), 2),
 ]
 
@@ -30,7 +30,7 @@ def test_friction_brakes_and_never_turns_a_motion_round(law, p, reads, dt):
         assert abs(force) * dt <= abs(z[0])
 
 
-@pytest.mark.parametrize(("law", "p"), [(coulomb, (3.0, 1e-4)), (asymmetric, (3.0, 2.9, 1e-4)), (_stribeck, (2.9, 0.5, 0.3, 1e-4))])
+@pytest.mark.parametrize(("law", "p"), [(coulomb_force, (3.0, 1e-4)), (asymmetric, (3.0, 2.9, 1e-4)), (_stribeck, (2.9, 0.5, 0.3, 1e-4))])
 def test_what_is_pushed_less_than_friction_holds_creeps_no_faster_than_a_step_of_it(law, p):
     v, dt, drive = 0.2, 1e-3, 2.0
     for _ in range(2000):

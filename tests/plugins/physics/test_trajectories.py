@@ -21,7 +21,7 @@ from afdsvc.plugins.physics.clearance import _play as play
 from afdsvc.plugins.physics.clearance import _side as one_side
 from afdsvc.plugins.physics.cogging import _ripple
 from afdsvc.plugins.physics.constant_load import drifting
-from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, coulomb, jenkins, loaded, reaction
+from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, coulomb_force, jenkins, loaded, reaction
 from afdsvc.plugins.physics.cubic_damping import _cubic
 from afdsvc.plugins.physics.exchange import conducted, turbulent
 from afdsvc.plugins.physics.gain_follows_level import _orifice
@@ -44,7 +44,7 @@ from afdsvc.plugins.physics.saturation import (
     two_limits,
 )
 from afdsvc.plugins.physics.self_heating import warming
-from afdsvc.plugins.physics.slew_limit import limited
+from afdsvc.plugins.physics.slew_limit import rate_limited
 from afdsvc.plugins.physics.slow_mode import relaxing
 from afdsvc.plugins.physics.static_nonlinearity import outflow, outflow_about, power, signed_square, thrust, two_slopes
 from afdsvc.plugins.physics.stribeck_friction import presliding
@@ -212,7 +212,7 @@ CASES = [
     Case("asymmetric damping", _damper, (3.0, -1.0), axis(lambda q, v, u: -(3.0 if v > 0 else -1.0) * v), **AXIS),
     Case("spring", in_proportion, (25.0,), axis(lambda q, v, u: -25.0 * q), **AXIS, reads=(("x", 0),)),
     Case("damper", in_proportion, (3.0,), axis(lambda q, v, u: -3.0 * v), **AXIS),
-    Case("dead time", coulomb, (12.0, 0.05), lambda x, u: [-D * x[0] + G * u - 12.0 * np.tanh(x[0] / (0.05 + 12.0 * H))], **SPEED, reads=(("x", 0),), tolerance=5e-3),
+    Case("dead time", coulomb_force, (12.0, 0.05), lambda x, u: [-D * x[0] + G * u - 12.0 * np.tanh(x[0] / (0.05 + 12.0 * H))], **SPEED, reads=(("x", 0),), tolerance=5e-3),
     Case("cubic damping", _cubic, (0.2,), axis(lambda q, v, u: -0.2 * v**3), **AXIS),
     Case("weight in degrees", _weight, (1500.0, 400.0, np.pi / 180), axis(lambda q, v, u: -1500 * np.sin(np.deg2rad(q)) - 400 * np.cos(np.deg2rad(q))), **AXIS, reads=(("x", 0),), level=60.0),
     Case("pendulum for a spring", _in_place, (K, -K, 1.0), lambda x, u: [x[1], -K * np.sin(x[0]) - D * x[1] + G * u], **AXIS, reads=(("x", 0),)),
@@ -230,7 +230,7 @@ CASES = [
     Case("droop", droop, (0.3, 0.4, 0.8), lambda x, u: [-D * x[0] + G * u * (1 - 0.3 * x[1] / 0.8), (abs(u) - x[1]) / 0.4], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,), tolerance=5e-3),
     Case("lag that falls slowly", low_pass, (0.05, 0.4), lambda x, u: [-D * x[0] + G * x[1], (u - x[1]) / (0.05 if u > x[1] else 0.4)], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,)),
     Case("speed that falls slowly", direction_dependent, (0.5, -0.6, -D, G), lambda x, u: [(r := -D * x[0] + G * u) * (1.5 if r > 0 else 0.4)], **SPEED, reads=(("x", 0), ("u", 0)), tolerance=5e-3),
-    Case("speed that changes at most so fast", limited, (12.0, 7.0, -D, G), lambda x, u: [np.clip(-D * x[0] + G * u, -7, 12)], **SPEED, reads=(("x", 0), ("u", 0)), tolerance=5e-3),
+    Case("speed that changes at most so fast", rate_limited, (12.0, 7.0, -D, G), lambda x, u: [np.clip(-D * x[0] + G * u, -7, 12)], **SPEED, reads=(("x", 0), ("u", 0)), tolerance=5e-3),
     Case("two slopes", two_slopes, (0.3,), lambda x, u: [-D * x[0] + G * (u + 0.3 * abs(u))], **SPEED, reads=(("u", 0),), stage="input"),
     Case("rotor with a thrust", thrust, (1.2, 0.05), lambda x, u: [-D * x[0] + G * x[1] * abs(x[1]) / 1.2, (u - x[1]) / 0.05], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,)),
     Case("thrust", power, (1.2, 2.0), lambda x, u: [-D * x[0] + G * u * abs(u) / 1.2], **SPEED, reads=(("u", 0),), stage="input"),
