@@ -68,7 +68,7 @@ MODEL_KEYS = {
     "zeros": "of one input and output; a complex root is `[re, im]`", "poles": "likewise, conjugates both", "gain": "of zeros and poles",
     "inputs": '`[{name = "force", unit = "N"}]`', "outputs": '`[{name = "position", unit = "mm"}]`',
     "states": "names and units; `rate_of` names the state that this one is the rate of. Left out: a state that is an output, or the rate of one, is known as that",
-    "dynamics": "instead of matrices: `file.py:object`, a Python simulator, or an FMI unit `file.fmu`",
+    "dynamics": "instead of matrices: `file.py:object`, a Python simulator, or an FMI unit `file.fmu`; it runs only with `--allow-code`",
     "parameters": 'physical numbers: `mass = "95.1 kg +- 2 %"`, `mass = 95.1`, or `{value, unit, relative_sd}`',
     "uncertainty": "how well entries of the matrices are known", "noise": "of outputs and states",
     "controller": "the one that ran, in positive feedback `u = K (y - ref)`; the same keys for its matrices, num and den, or roots",

@@ -19,14 +19,13 @@ MARGIN = 1e-9
 
 def loop(nominal: Nominal, runs: Sequence[Run]) -> Iterator[CheckFinding]:
     """Yield what there is to say on stability and feedback."""
-    stable = _stable(nominal)
-    if not stable:
+    known = nominal.model.controller is not None and any(r.W is not None for r in runs)
+    if not _stable(nominal):
         yield CheckFinding(
             "warning", "stability",
             "the nominal model is not stable by itself (a pole at zero or beyond): where a simulation from the inputs drifts away, it is "
-            "corrected by the measured outputs, or the controller is closed around it",
+            f"corrected by the measured outputs{', or the controller is closed around it' if known else ''}",
         )
-    known = nominal.model.controller is not None and any(r.W is not None for r in runs)
     driven = any(r.commanded or np.ptp(r.REF, axis=0).max(initial=0.0) > 0 for r in runs)
     if known:
         yield CheckFinding("ok", "controller", "the controller is known: the loop can be simulated closed")

@@ -128,7 +128,7 @@ def _lacks(physics: Physics, machine: Machine) -> str:
     needs = {
         "a state that is a velocity (rate_of, or a unit such as rad/s)": axes,
         f"recorded signals such as {', '.join(f'aux_{name}' for name in RECORDED)}": _with_aux(machine),
-        "a tone or a peak in the residual, which shows after the fit": replace(machine, tones=tone, peaks=tone),
+        "a tone or a peak in the residual: explain tries it where one shows after the fit": replace(machine, tones=tone, peaks=tone),
         "a state that decays by itself and is no velocity, such as a current, a temperature or a level": replace(machine, axes=()),
         "a second axis of motion": replace(axes, axes=axes.axes[:1] * 2),
         "a second output": replace(machine, outputs=machine.outputs[:1] * 2, residual=np.repeat(machine.residual[:1], 2)),
@@ -140,7 +140,7 @@ def _lacks(physics: Physics, machine: Machine) -> str:
     for words, richer in needs.items():
         if any(True for _ in physics.hypotheses(richer)):
             return words
-    return "a state or a signal that this model does not have"
+    return "a place in this model: a state or a signal is missing, or the model has this effect already"
 
 
 def _with_axis(machine: Machine) -> Machine:

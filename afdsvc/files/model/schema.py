@@ -144,7 +144,8 @@ def _form(table: LinearTable) -> None:
 class ControllerTable(LinearTable):
     """The controller, positive feedback ``u = K (y - ref)``, linear and at rest when a recording begins. References are read from the columns
     ``ref_<output>``; one that is missing is zero. What the recorded inputs differ by from ``K (y - ref)``, such as a burst, an offset or what a
-    limit has cut off, counts as added from outside and is added again, as recorded, wherever the loop is simulated."""
+    limit has cut off, counts as added from outside and is added again, as recorded, wherever the loop is simulated. Without this table a column
+    ``ref_<output>`` only says that feedback was at work."""
 
     @model_validator(mode="after")
     def _complete(self) -> ControllerTable:
