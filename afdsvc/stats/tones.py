@@ -33,10 +33,11 @@ class Tone:
 def tones(runs: Sequence[Run], residuals: Sequence[Array], most: int = 4) -> list[Tone]:
     """Return lines of the part of the residual that does not repeat with the excitation, tallest first.
 
-    Without a repeating excitation, lines where the input has power are left out: they may be the machine's own.
+    Without a repeating excitation, what stands out where the input has power may be the machine's own resonance: there only single lines count, where the
+    input has none.
     """
     clean = [np.nan_to_num(e) for e in residuals]
-    listed = [(group[0][0], tone) for group in _alike(runs, clean) for tone in _lines(group[0][0], [e for _, e in group])]
+    listed = [(group[0][0], tone) for group in _alike(runs, clean) for tone in _lines(group)]
     listed += [(group[0][0], tone) for group in _alike(runs, clean, whole=True) for tone in _mains(group)]
     listed += [(run, tone) for run, e in zip(runs, clean, strict=True) for tone in _standing_out(run, e)]
     found: list[Tone] = []
@@ -109,25 +110,25 @@ def _standing_out(run: Run, e: Array, most: int = 6) -> list[Tone]:
     """Return lines beside those of the excitation, or on one, that tower over the neighbouring lines of the excitation too."""
     if not run.period:
         return []
-    tall = sorted((t for t in _lines(run, [e], everywhere=True) if t.height > TALL), key=lambda t: -t.height)[:most]
+    tall = sorted((t for t in _lines([(run, e)], everywhere=True) if t.height > TALL), key=lambda t: -t.height)[:most]
     return [t for t in tall if t.amplitude > ALONE * _beside(run, e[:, t.output], t.omega / (2 * np.pi))]
 
 
-def _lines(run: Run, residuals: Sequence[Array], everywhere: bool = False) -> list[Tone]:
-    """Return the lines that stand out in residuals of one length, of runs like ``run``, taken together."""
-    n = len(residuals[0])
+def _lines(group: Sequence[tuple[Run, Array]], everywhere: bool = False) -> list[Tone]:
+    """Return the lines that stand out in residuals of one length, taken together."""
+    run, n = group[0][0], len(group[0][1])
     if n < 256:
         return []
     window = np.hanning(n)[:, None]
-    sizes = [np.abs(np.fft.rfft((e - e.mean(0)) * window, axis=0)) * 4 / n for e in residuals]
+    sizes = [np.abs(np.fft.rfft((e - e.mean(0)) * window, axis=0)) * 4 / n for _, e in group]
     step = 1 if everywhere or not run.period else max(n // run.period, 1)
     size, heights = np.sqrt(np.mean(np.square(sizes), axis=0)), _together([_heights(s, step) for s in sizes])
-    quiet = np.ones(n // 2 + 1, bool) if everywhere else _quiet(run, n, window)
+    outside = np.ones((n // 2 + 1, 1), bool) if everywhere else _between(run, n)[:, None] if run.period else _unlike([r for r, _ in group], size, window)
     found = []
     for j in range(size.shape[1]):
         height = heights[:, j]
         for k in range(4, len(height) - 2):
-            if height[k] > HEARD and height[k] == height[k - 2 : k + 3].max() and quiet[k]:
+            if height[k] > HEARD and height[k] == height[k - 2 : k + 3].max() and outside[k, min(j, outside.shape[1] - 1)]:
                 found.append(Tone(_centre(size[:, j], k) * 2 * np.pi / (n * run.dt), float(size[k, j]), j, float(height[k])))
     return found
 
@@ -155,14 +156,24 @@ def _together(heights: Sequence[Array]) -> Array:
     return np.asarray(np.sqrt(np.maximum(power - less, 0.0) / np.log(2)))
 
 
-def _quiet(run: Run, n: int, window: Array) -> NDArray[np.bool_]:
-    """Return the bins that are not lines of a repeating excitation, or where a non-repeating one has no power."""
-    bins = np.arange(n // 2 + 1)
-    if run.period:  # what repeats is taken out where three periods or more tell what it is
-        orders = bins * run.period / n
-        return np.abs(orders - np.round(orders)) > (0.6 if n >= 3 * run.period else 1.6) * run.period / n
-    drive = np.abs(np.fft.rfft(run.U[-n:] * window, axis=0)).max(1, initial=0.0)
-    return np.asarray(drive <= 0.02 * drive.max())
+def _between(run: Run, n: int) -> NDArray[np.bool_]:
+    """Return the bins between the lines of a repeating excitation."""
+    orders = np.arange(n // 2 + 1) * run.period / n
+    return np.abs(orders - np.round(orders)) > (0.6 if n >= 3 * run.period else 1.6) * run.period / n  # three periods or more tell what repeats: it is taken out
+
+
+def _unlike(runs: Sequence[Run], size: Array, window: Array) -> NDArray[np.bool_]:
+    """Return the bins ``(bins, p)`` where no run's excitation has power, and those of single lines of the residual where none has a line."""
+    drives = [np.abs(np.fft.rfft(r.U[-len(window) :] * window, axis=0)) for r in runs]
+    powered = np.any([d.max(1, initial=0.0) > 0.02 * d.max(initial=0.0) for d in drives], axis=0)
+    lines = np.any([_single(d).any(1) for d in drives], axis=0)
+    return np.asarray(~powered[:, None] | (_single(size) & ~lines[:, None]))
+
+
+def _single(size: Array) -> NDArray[np.bool_]:
+    """Whether a bin towers over those beside the main lobe of its window."""
+    beside = np.max([np.roll(size, k, axis=0) for k in (-4, -3, 3, 4)], axis=0)
+    return np.asarray(size > ALONE * beside)
 
 
 def _centre(size: Array, k: int) -> float:

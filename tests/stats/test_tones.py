@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import signal, stats
 
 from afdsvc.dataset.experiment import Run
 from afdsvc.stats.tones import HEARD, _together, tones
@@ -85,3 +85,32 @@ def test_a_tone_is_heard_in_a_recording_without_inputs():
     decay = Run("r", DT, 0.0, np.zeros((len(decay), 0)), decay.Y, np.zeros((len(decay), 0)), decay.Y, ())
     found = tones([decay], [with_tone(np.random.default_rng(0), 0.5)])
     assert [t.omega for t in found] == pytest.approx([OMEGA], abs=np.pi / (PERIOD * PERIODS * DT))
+
+
+def driven(omega: float, sine: float = 0.0) -> tuple[Run, np.ndarray]:
+    """Return a run under random levels held 20 samples, a sine of the input among them, and what a resonance of 30 rad/s, damping ratio 0.09, makes of it."""
+    rng, n = np.random.default_rng(int(omega)), 16000
+    t = DT * np.arange(n)
+    u = np.repeat(rng.uniform(-1, 1, n // 20), 20) + sine * np.sin(omega * t)
+    pole = np.exp((-2.7 + 30j) * DT)
+    left = signal.lfilter([30 * DT], np.real(np.poly([pole, pole.conjugate()])), u) * DT * 30
+    return Run("r", DT, 0.0, u[:, None], left[:, None], np.zeros((n, 0)), np.zeros((n, 1)), ()), (left + 0.05 * rng.standard_normal(n))[:, None]
+
+
+@pytest.mark.parametrize("omega", [41.0, 63.3, 90.0])
+def test_a_single_line_where_the_excitation_has_power_is_a_tone(omega):
+    run, left = driven(omega)
+    left = left + 0.2 * np.sin(omega * DT * np.arange(len(left)) + 1)[:, None]
+    assert [t.omega for t in tones([run], [left])] == pytest.approx([omega], abs=np.pi / (len(left) * DT))
+
+
+def test_a_resonance_that_the_excitation_drives_is_no_tone():
+    """Its peak is fourteen lines wide; of 60 random levels, one in hundreds may say otherwise."""
+    assert sum(bool(tones([run], [left])) for run, left in (driven(100.0 + k) for k in range(60))) <= 1
+
+
+def test_a_line_of_the_input_is_no_tone_of_another_recording():
+    """Two recordings of one length; a sine drives one of them, which the model answers wrongly."""
+    (sine, left), (levels, other) = driven(63.3, 4.0), driven(64.0)
+    left = left + 0.5 * np.sin(63.3 * DT * np.arange(len(left)))[:, None]
+    assert not tones([levels, sine], [other, left])

@@ -123,7 +123,7 @@ def checked_on_holdout(found: Found, verdict: Verdict, runs: Sequence[Run], atte
         likely = sure > 1 - (1 - found.problem.settings.probable) / attempt
         beaten = not likely and play.better(runs, final.point, without) > found.problem.settings.probable
         if not worse and (likely or not alone) and not (beaten and not verdict.gap.present):
-            most = min(most, sure) if alone else most
+            most = min(most, sure if alone else max(sure, found.problem.settings.probable))
             return HeldOutVerdict(verdict if shown and not alone else doubted(verdict, f"{held}{'; only the recordings held out show that there is a gap' if alone else ''}: no name is certain", most), final, beaten)
         verdict, unconfirmed = unclaimed(verdict, f"{held}: nothing is claimed", alone), not alone or verdict.gap.total > DOUBT
     if refitted <= WORSE * stated:

@@ -15,6 +15,11 @@ def _cubic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] -= p[0] * z[0] ** 3
 
 
+def _about(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """``-k3 ((q - c)^3 + c^3)``: a load holds the spring elsewhere than at the middle of its characteristic."""
+    out[0] -= p[0] * ((z[0] - p[1]) ** 3 + p[1] ** 3)
+
+
 def _fed_back(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``-k3 y^3`` at the input, for a machine whose states have no names."""
     out[0] -= p[0] * z[1] ** 3
@@ -27,7 +32,7 @@ class CubicStiffness:
     summary = "a spring force with a part proportional to the cube of the deflection"
 
     def hypotheses(self, machine: Machine) -> Iterable[Hypothesis]:
-        """Return one hypothesis per axis and per joint, or one for a machine of one input and one output without axes."""
+        """Return two hypotheses per axis and one per joint, or one for a machine of one input and one output without axes."""
         words: dict[str, Any] = {
             "physics": self.name, "family": "stiffness",
             "predicts": "odd distortion that grows with the cube of the amplitude; a resonance that moves with the level",
@@ -37,6 +42,11 @@ class CubicStiffness:
             scale = 0.05 * axis.push / q.rms**3
             k3 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^3", linear=True)
             yield at_force(axis, _cubic, [state(q)], parameters=[k3], starts=[(0.0,)], **words)
+            centre = Coefficient("centre", q.unit, -3 * q.rms, 3 * q.rms, 0.1 * q.rms)
+            yield at_force(
+                axis, _about, [state(q)], parameters=[k3, centre], starts=[(0.0, -0.3 * q.rms), (0.0, 0.3 * q.rms)],
+                notes={"variant": "about another centre", "of": ""}, **words,
+            )
         for joint in joints(machine):
             a, q = joint.axes[0], joint.deflection
             scale = 0.05 * a.push / q.rms**3

@@ -54,7 +54,7 @@ def _judged(
 
 @pytest.mark.parametrize(
     ("stated", "refitted", "error", "weight"),
-    [(0.5, 0.4, 0.2, 1.0), (0.5, 0.4, 0.42, 0.8), (5.0, 4.0, 2.0, 0.8), (0.3, 0.5, 0.2, 1.0), (0.3, 0.5, 0.32, 0.8)],
+    [(0.5, 0.4, 0.2, 1.0), (0.5, 0.4, 0.42, 0.5), (5.0, 4.0, 2.0, 0.5), (0.3, 0.5, 0.2, 1.0), (0.3, 0.5, 0.32, 0.5)],
 )
 def test_a_name_is_certain_only_where_the_recordings_held_out_are_followed_better(final, stated, refitted, error, weight):
     answer = final(stated, refitted, error)

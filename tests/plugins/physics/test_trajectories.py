@@ -23,6 +23,7 @@ from afdsvc.plugins.physics.cogging import _ripple
 from afdsvc.plugins.physics.constant_load import drifting
 from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, coulomb_force, jenkins, loaded, reaction
 from afdsvc.plugins.physics.cubic_damping import _cubic
+from afdsvc.plugins.physics.cubic_stiffness import _about
 from afdsvc.plugins.physics.exchange import conducted, turbulent
 from afdsvc.plugins.physics.gain_follows_level import _orifice
 from afdsvc.plugins.physics.gain_follows_position import geared, through_coil
@@ -214,6 +215,7 @@ CASES = [
     Case("damper", in_proportion, (3.0,), axis(lambda q, v, u: -3.0 * v), **AXIS),
     Case("dead time", coulomb_force, (12.0, 0.05), lambda x, u: [-D * x[0] + G * u - 12.0 * np.tanh(x[0] / (0.05 + 12.0 * H))], **SPEED, reads=(("x", 0),), tolerance=5e-3),
     Case("cubic damping", _cubic, (0.2,), axis(lambda q, v, u: -0.2 * v**3), **AXIS),
+    Case("spring held away from its middle", _about, (400.0, -0.1), axis(lambda q, v, u: -400 * (q**3 + 0.3 * q**2 + 0.03 * q)), **AXIS, reads=(("x", 0),)),
     Case("weight in degrees", _weight, (1500.0, 400.0, np.pi / 180), axis(lambda q, v, u: -1500 * np.sin(np.deg2rad(q)) - 400 * np.cos(np.deg2rad(q))), **AXIS, reads=(("x", 0),), level=60.0),
     Case("pendulum for a spring", _in_place, (K, -K, 1.0), lambda x, u: [x[1], -K * np.sin(x[0]) - D * x[1] + G * u], **AXIS, reads=(("x", 0),)),
     Case("one magnet", single, (2.0, 1.3, G, 1.0, 0.0, 0.0), magnet, **BENT),
