@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import signal, stats
@@ -114,3 +116,11 @@ def test_a_line_of_the_input_is_no_tone_of_another_recording():
     (sine, left), (levels, other) = driven(63.3, 4.0), driven(64.0)
     left = left + 0.5 * np.sin(63.3 * DT * np.arange(len(left)))[:, None]
     assert not tones([levels, sine], [other, left])
+
+
+def test_a_resonance_that_one_recording_drives_is_no_tone_of_all():
+    """A recording at rest has no excitation that could explain it."""
+    rng = np.random.default_rng(1)
+    levels, left = driven(64.0)
+    rest = replace(levels, U=0 * levels.U)
+    assert not tones([rest, levels], [0.05 * rng.standard_normal(left.shape), left])

@@ -44,7 +44,7 @@ def offered(machine: Machine) -> dict:
     (TANKS, "static_nonlinearity@input:pump#power static_nonlinearity@input:pump#power from a threshold"),
     (STRUCTURE, "clearance@machine#between v1,v2 clearance@machine#between v1,v2,v3 coulomb_friction@machine#between v1,v3"),
     (STRUCTURE, "coulomb_friction@machine#slip between v2,v3 cubic_stiffness@machine#between v1,v2 quadratic_stiffness@machine#between v1,v2,v3"),
-    (ARM, "clearance@state:w#play in the spring"),
+    (ARM, "clearance@state:w#play in the spring cubic_stiffness@state:w#about another centre"),
     (MOTOR, "clock_offset@input:voltage cogging@state:w encoder_error@output:w"),
     (SHAFT, "encoder_error@output:motor encoder_error@output:load"),
     (COIL, "encoder_error@output:q cogging@state:v gain_follows_position@state:v#i magnetic_force@state:v magnetic_force@state:v#pair"),
