@@ -89,12 +89,12 @@ def test_a_tone_is_heard_in_a_recording_without_inputs():
     assert [t.omega for t in found] == pytest.approx([OMEGA], abs=np.pi / (PERIOD * PERIODS * DT))
 
 
-def driven(omega: float, sine: float = 0.0) -> tuple[Run, np.ndarray]:
-    """Return a run under random levels held 20 samples, a sine of the input among them, and what a resonance of 30 rad/s, damping ratio 0.09, makes of it."""
+def driven(omega: float, sine: float = 0.0, width: float = 2.7) -> tuple[Run, np.ndarray]:
+    """Return a run under random levels held 20 samples, a sine of the input among them, and what a resonance of 30 rad/s, that decays with the rate ``width``, makes of it."""
     rng, n = np.random.default_rng(int(omega)), 16000
     t = DT * np.arange(n)
     u = np.repeat(rng.uniform(-1, 1, n // 20), 20) + sine * np.sin(omega * t)
-    pole = np.exp((-2.7 + 30j) * DT)
+    pole = np.exp((-width + 30j) * DT)
     left = signal.lfilter([30 * DT], np.real(np.poly([pole, pole.conjugate()])), u) * DT * 30
     return Run("r", DT, 0.0, u[:, None], left[:, None], np.zeros((n, 0)), np.zeros((n, 1)), ()), (left + 0.05 * rng.standard_normal(n))[:, None]
 
@@ -121,6 +121,6 @@ def test_a_line_of_the_input_is_no_tone_of_another_recording():
 def test_a_resonance_that_one_recording_drives_is_no_tone_of_all():
     """A recording at rest has no excitation that could explain it."""
     rng = np.random.default_rng(1)
-    levels, left = driven(64.0)
+    levels, left = driven(64.0, width=0.9)
     rest = replace(levels, U=0 * levels.U)
     assert not tones([rest, levels], [0.05 * rng.standard_normal(left.shape), left])
