@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from afdsvc.api.model import Model, Variable
 from afdsvc.api.signals import Channel, Trace
@@ -44,3 +45,25 @@ def test_a_drive_that_is_slow_within_the_step_alone_is_a_slew_limit():
     answer = explain(spring(), given, [held], LIBRARY, experiment=False)
     assert (answer.named[0].physics, answer.named[0].site) == ("slew_limit", "input:force")
     assert answer.named[0].parameters["rate"].value == pytest.approx(rate, rel=0.15)
+
+
+def valve(seed: int) -> Trace:
+    """A valve that is closed from 4.25 to 5.9 V, behind it 3 bar/s per volt and a leak of 1.5 1/s; pressure about 2 bar, pushed at random."""
+    rng, n, dt = np.random.default_rng(seed), 2000, 0.02
+    u = np.repeat(rng.uniform(3.0, 7.0, n // 20), 20)
+    opened = np.where(u > 5.9, u - 5.9, np.minimum(u - 4.25, 0.0))
+    held, pushed = np.exp(-1.5 * dt), lfilter([0.001], [1, -0.9], rng.standard_normal(n))
+    y = 2.0 + lfilter([0, 1], [1, -held], 3.0 * (1 - held) / 1.5 * opened + pushed)
+    return Trace(f"r{seed}", dt, (Channel("u_valve"), Channel("y_pressure")), np.column_stack([u, y + 0.01 * rng.standard_normal(n)]))
+
+
+def test_a_valve_that_is_closed_about_half_its_voltage_has_a_dead_zone_there():
+    plant = StateSpace.of([[-1.7]], [[2.7]], [[1.0]])
+    model = Model("valve", (Variable("valve", "V"),), (Variable("pressure", "bar"),), (Variable("pressure", "bar"),), plant, entry_sd={"A": np.array([[0.3]]), "B": np.array([[0.4]]), "C": np.zeros((1, 1))})
+    library = [p for p in afdsvc_physics() if p.name in ("dead_zone", "saturation", "static_nonlinearity", "hysteresis", "backlash", "constant_load", "sensor_offset")]
+    *given, held = [valve(seed) for seed in range(3)]
+    answer = explain(model, given, [held], library, experiment=False)
+    first = answer.named[0]
+    assert (first.physics, first.site) == ("dead_zone", "input:valve")
+    assert {k: v.value for k, v in first.parameters.items()} == pytest.approx({"width": 0.825, "centre": 5.075}, abs=0.05)
+    assert answer.fit[0].after_nrmse < 0.1

@@ -111,6 +111,20 @@ def test_two_slopes_are_offered_to_inputs_that_take_both_signs():
     assert "static_nonlinearity@input:voltage#two slopes" not in offered(one_way)
 
 
+def test_a_dead_zone_has_a_centre_where_the_input_has_one_sign_and_is_wide_enough_for_a_sample_to_lie_in_it():
+    motor = machines()[MOTOR]
+    volts = replace(motor.inputs[0], reverses=False, mean=5.0, origin=3.2, peak=6.8)
+    zone, two, about = (offered(replace(motor, inputs=(volts,))).get(f"dead_zone@input:voltage{s}") for s in ("", "#asymmetric", "#about another centre"))
+    assert "dead_zone@input:voltage#about another centre" not in offered(motor)
+    assert [c.low for c in (*zone.parameters, *two.parameters)] == [3.2] * 3
+    assert all(start[0] >= 3.2 for start in (*zone.starts, *two.starts))
+    width, centre, shift = about.parameters
+    assert width.low < 1e-3 * volts.rms
+    assert {start[2] for start in about.starts} == {0.0, 5.0}
+    assert shift.nuisance
+    assert centre.low < volts.mean < centre.high
+
+
 @pytest.mark.parametrize(("word", "place"), [("above", 2.0), ("below", -2.0)])
 def test_a_stop_answers_an_imposed_way_on_one_side_with_the_sign_of_the_spring(word, place):
     """Oracle: the formula, of a spring whose force grows with the way."""
