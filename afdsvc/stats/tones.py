@@ -164,10 +164,19 @@ def _between(run: Run, n: int) -> NDArray[np.bool_]:
 
 def _unlike(runs: Sequence[Run], size: Array, window: Array) -> NDArray[np.bool_]:
     """Return the bins ``(bins, p)`` where no run's excitation has power, and those of single lines of the residual where none has a line."""
-    drives = [np.abs(np.fft.rfft(r.U[-len(window) :] * window, axis=0)) for r in runs]
+    drives = [np.abs(np.fft.rfft(x[-len(window) :] * window, axis=0)) for r in runs for x in _excitations(r)]
     powered = np.any([d.max(1, initial=0.0) > 0.02 * d.max(initial=0.0) for d in drives], axis=0)
     lines = np.any([_single(d).any(1) for d in drives], axis=0)
     return np.asarray(~powered[:, None] | (_single(size) & ~lines[:, None]))
+
+
+def _excitations(run: Run) -> tuple[Array, ...]:
+    """Return what drives a run from outside: in feedback the references and what is added to the controller's output, where they are known, else the inputs.
+
+    The inputs of a loop answer what disturbs its outputs, tones among it.
+    """
+    known = tuple(x for x in (run.W, run.REF) if x is not None and np.ptp(x, axis=0).any())
+    return known or (run.U,)
 
 
 def _single(size: Array) -> NDArray[np.bool_]:

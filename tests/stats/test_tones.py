@@ -124,3 +124,13 @@ def test_a_resonance_that_one_recording_drives_is_no_tone_of_all():
     levels, left = driven(64.0, width=0.9)
     rest = replace(levels, U=0 * levels.U)
     assert not tones([rest, levels], [0.05 * rng.standard_normal(left.shape), left])
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_tone_that_the_controller_answers_is_one_where_the_excitation_has_none(known):
+    """The input of a loop has a line where the output has one; the reference, or what is added to the controller's output, does not."""
+    run, left = driven(63.3)
+    tone = 0.2 * np.sin(63.3 * DT * np.arange(len(left)) + 1)[:, None]
+    loop = replace(run, U=run.U + 5 * tone, **({"W": run.U} if known else {"REF": run.U}))
+    assert not tones([replace(run, U=run.U + 5 * tone)], [left + tone])
+    assert [t.omega for t in tones([loop], [left + tone])] == pytest.approx([63.3], abs=np.pi / (len(left) * DT))
