@@ -180,7 +180,7 @@ def promising(tried: Sequence[Trial], count: int, likely: float) -> list[Trial]:
 
 def kept_promises(base: dict[float, Fit], paths: Sequence[dict[float, Fit]], share: float, limited: str) -> list[dict[float, Fit]]:
     """Return the paths whose fall of the cost is a share of the largest one, at the strongest or the weakest correction,
-    and the first two in any case: how far behind the second is says how sure the first is.
+    and the first of two mechanisms in any case: how far behind the second is says how sure the first is.
 
     Where the model limits, constants that are off do not set the measure: with physics left out any fit moves them.
     """
@@ -188,5 +188,6 @@ def kept_promises(base: dict[float, Fit], paths: Sequence[dict[float, Fit]], sha
     measure = [limited == "noise" or not is_constant(h) for h in last]
     falls = np.array([[base[h].cost - path[h].cost for h in ends(base)] for path in paths]).reshape(len(paths), len(ends(base)))
     best = falls[measure if any(measure) else slice(None)].max(axis=0, initial=0.0)
-    second = np.sort(falls[:, -1])[-2:].min(initial=np.inf)
+    kinds = [mechanism(h) for h in last]
+    second = max((fall for fall, kind in zip(falls[:, -1], kinds, strict=True) if kind != kinds[int(falls[:, -1].argmax())]), default=np.inf)
     return [path for path, fall in zip(paths, falls, strict=True) if (fall >= share * best).any() or fall[-1] >= second]

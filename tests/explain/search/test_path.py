@@ -56,13 +56,16 @@ def test_shapes_of_one_law_do_not_crowd_out_others():
     assert promising([*apart, lag, late], 2, 4.0) == [*apart[:2], lag, late]
 
 
-def test_the_runner_up_is_fitted_to_whole_recordings_however_far_behind_it_is():
-    def fitted(key, cost):
-        hypothesis = SimpleNamespace(physics=key)
+def test_the_runner_up_of_another_mechanism_is_fitted_to_whole_recordings_however_far_behind_it_is():
+    def fitted(key, cost, shape=""):
+        hypothesis = Hypothesis(key, "machine", "", "force", None, (), (), (), (), notes={"variant": shape, "of": ""})
         return {0.0: SimpleNamespace(cost=cost, point=SimpleNamespace(effects=(SimpleNamespace(hypothesis=hypothesis),)))}
 
-    paths = [fitted("first", 0.0), fitted("second", 90.0), fitted("third", 99.0)]
-    assert kept_promises({0.0: SimpleNamespace(cost=100.0)}, paths, 0.5, "model") == paths[:2]
+    paths = [fitted("first", 0.0), fitted("first", 20.0, "of another shape"), fitted("first", 95.0, "of a third"), fitted("second", 90.0), fitted("third", 99.0)]
+    base = {0.0: SimpleNamespace(cost=100.0)}
+    assert kept_promises(base, paths, 0.5, "model") == [*paths[:2], paths[3]]
+    assert kept_promises(base, paths[:3], 0.5, "model") == paths[:2]
+    assert kept_promises(base, [], 0.5, "model") == []
 
 
 def test_in_finer_steps_a_fit_begins_where_the_one_before_it_ended_if_it_is_lost(monkeypatch):
