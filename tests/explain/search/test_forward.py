@@ -162,7 +162,7 @@ def test_what_chance_and_resampled_blocks_doubt_the_recordings_held_out_decide(c
         return 1.1 if confirms else 0.9
 
     found = search(settled(unanimous), LIBRARY, better=better)
-    assert asked == [True]
+    assert asked == [True] * (1 + confirms)  # an accepted name is compared with a look-alike, too
     assert found.steps[0].accepted == confirms
     assert reason in found.steps[0].reason
 
