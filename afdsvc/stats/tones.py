@@ -33,8 +33,8 @@ class Tone:
 def tones(runs: Sequence[Run], residuals: Sequence[Array], most: int = 4) -> list[Tone]:
     """Return lines of the part of the residual that does not repeat with the excitation, tallest first.
 
-    Without a repeating excitation, what stands out where the input has power may be the machine's own resonance: there only single lines count, where the
-    input has none.
+    Without a repeating excitation, what stands out where the input has power may be the machine's own resonance: there only single lines count, at which
+    no excitation has one.
     """
     clean = [np.nan_to_num(e) for e in residuals]
     listed = [(group[0][0], tone) for group in _alike(runs, clean) for tone in _lines(group)]
@@ -123,12 +123,17 @@ def _lines(group: Sequence[tuple[Run, Array]], everywhere: bool = False) -> list
     sizes = [np.abs(np.fft.rfft((e - e.mean(0)) * window, axis=0)) * 4 / n for _, e in group]
     step = 1 if everywhere or not run.period else max(n // run.period, 1)
     size, heights = np.sqrt(np.mean(np.square(sizes), axis=0)), _together([_heights(s, step) for s in sizes])
-    outside = np.ones((n // 2 + 1, 1), bool) if everywhere else _between(run, n)[:, None] if run.period else _unlike([r for r, _ in group], size, window)
+    if everywhere:
+        outside = np.ones(size.shape, bool)
+    elif run.period:
+        outside = np.broadcast_to(_between(run, n)[:, None], size.shape)
+    else:
+        outside = _unlike([r for r, _ in group], size, window)
     found = []
     for j in range(size.shape[1]):
         height = heights[:, j]
         for k in range(4, len(height) - 2):
-            if height[k] > HEARD and height[k] == height[k - 2 : k + 3].max() and outside[k, min(j, outside.shape[1] - 1)]:
+            if height[k] > HEARD and height[k] == height[k - 2 : k + 3].max() and outside[k, j]:
                 found.append(Tone(_centre(size[:, j], k) * 2 * np.pi / (n * run.dt), float(size[k, j]), j, float(height[k])))
     return found
 

@@ -12,7 +12,7 @@ from afdsvc.explain.pipeline import explain
 from afdsvc.plugins.physics import afdsvc_physics
 from tests.explain.motor import DT, model, recording
 
-LIBRARY = [p for p in afdsvc_physics() if p.name in ("clock_offset", "transport_delay", "coulomb_friction", "stribeck_friction", "hysteresis", "resonant_actuator")]
+LIBRARY = [p for p in afdsvc_physics() if p.name in ("clock_offset", "transport_delay", "coulomb_friction", "stribeck_friction", "flexible_mode", "hysteresis", "resonant_actuator")]
 
 
 def late(trace: Trace) -> Trace:

@@ -71,6 +71,7 @@ def test_physics_is_named_on_a_machine_that_falls_over_by_itself(known):
     answer = explain(falling(known), recordings, [held], LIBRARY, experiment=False)
     assert any("not stable by itself" in s for s in answer.check)
     assert any("the controller is known" in s for s in answer.check) == known
+    assert any("or the controller is closed around it" in s for s in answer.check) == known
     assert (answer.named[0].physics, answer.named[0].site) == ("cubic_stiffness", "state:v")
     assert answer.simulated == ("in closed loop" if known else "predicted")
     assert answer.named[0].weight > 0.9 or not known  # in the loop nothing is left after it, so a clearance that fits 98 % is no look-alike

@@ -14,7 +14,7 @@ from afdsvc.plugins.physics import afdsvc_physics
 DT = 0.01
 PLANT = StateSpace(np.array([[-8.0]]), np.array([[400.0]]), np.eye(1), np.zeros((1, 1)))
 MODEL = Model("motor", (Variable("voltage", "V"),), (Variable("speed", "rpm"),), (Variable("speed", "rpm"),), PLANT)
-LIBRARY = [p for p in afdsvc_physics() if p.name in ("cogging", "encoder_error", "coulomb_friction", "transport_delay", "sensor_nonlinearity", "quantisation")]
+LIBRARY = [p for p in afdsvc_physics() if p.name in ("cogging", "encoder_error", "coulomb_friction", "flexible_mode", "transport_delay", "sensor_nonlinearity", "quantisation")]
 
 
 def recording(seed: int, torque: float, error: float, periods: int) -> Trace:
@@ -57,7 +57,7 @@ def test_an_error_of_a_screw_is_named_with_its_pitch_on_an_axis_that_drifts():
                 q, v = q + 5e-4 * v, v + 5e-4 * (-30 * v + 70 * u[-1] + 20 * rng.standard_normal())
         return Trace(f"r{seed}", 0.005, (Channel("u_drive", "V"), Channel("y_length", "mm")), np.column_stack([u, y]))
 
-    some = [p for p in afdsvc_physics() if p.name in ("cogging", "encoder_error", "quantisation", "sensor_nonlinearity")]
+    some = [p for p in afdsvc_physics() if p.name in ("cogging", "encoder_error", "flexible_mode", "quantisation", "sensor_nonlinearity")]
     *given, held = (recording(seed) for seed in (1, 2, 3))
     first = explain(model, given, [held], some, experiment=False).named[0]
     assert (first.physics, first.site) == ("encoder_error", "output:length")

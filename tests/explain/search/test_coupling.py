@@ -90,7 +90,7 @@ def test_friction_of_a_cart_is_named_with_its_size_though_the_pole_moves_with_it
         y = np.array(seen) + [2e-4, 1e-3] * rng.standard_normal((len(u), 2))
         return Trace(f"r{seed}", 0.01, (Channel("u_force", "N"), Channel("y_cart", "m"), Channel("y_angle", "rad")), np.column_stack([u, y]))
 
-    some = [p for p in LIBRARY if p.name in ("coulomb_friction", "stribeck_friction", "cubic_stiffness", "quadratic_damping", "transport_delay")]
+    some = [p for p in LIBRARY if p.name in ("coulomb_friction", "stribeck_friction", "flexible_mode", "cubic_stiffness", "quadratic_damping", "transport_delay")]
     *given, held = (recording(s) for s in (1, 2, 3))
     found = explain(model, given, [held], some, experiment=False)
     assert (found.named[0].physics, found.named[0].site) == ("coulomb_friction", "state:v")

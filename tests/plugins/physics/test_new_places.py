@@ -123,6 +123,8 @@ def test_a_dead_zone_has_a_centre_where_the_input_has_one_sign_and_is_wide_enoug
     assert {start[2] for start in about.starts} == {0.0, 5.0}
     assert shift.nuisance
     assert centre.low < volts.mean < centre.high
+    constant = offered(replace(motor, inputs=(replace(volts, origin=6.8),)))["dead_zone@input:voltage"]
+    assert constant.parameters[0].low < constant.parameters[0].high
 
 
 @pytest.mark.parametrize(("word", "place"), [("above", 2.0), ("below", -2.0)])
