@@ -54,6 +54,8 @@ def test_a_model_that_fits_is_ready(model):
     assert "decays by itself and is no velocity" in found.offers.absent["slow_mode"]
     assert "a second axis" in found.offers.absent["gyroscopic_coupling"]
     assert found.offers.absent["clearance"] == "a state that is a position, and its velocity (rate_of)"
+    assert "the model has this effect already" in found.offers.absent["viscous_damping"]
+    assert found.offers.absent["periodic_disturbance"].endswith("explain tries it where one shows after the fit")
     assert any(f.sentence.startswith("the recordings fix 2 of 2 uncertain numbers of the model: their") for f in found.findings)
     assert found.plan.method == "auto"
     assert set(found.parameters) == {"A[1,1]", "B[1,1]"}
