@@ -163,6 +163,11 @@ def constant(name: str, unit: str, value: float) -> Coefficient:
     return Coefficient(name, unit, value, value, abs(value) or 1.0, nuisance=True)
 
 
+def operating_point(where: Size) -> Coefficient:
+    """Return the mean of a signal: where it has one sign, the model is the tangent of a curved law there."""
+    return constant("operating point", where.unit, where.mean)
+
+
 def motion(axis: Axis) -> str:
     """Return the unit of what the velocity of an axis sums up to."""
     if axis.position is not None:
@@ -238,6 +243,11 @@ def force(axis: Axis, name: str, low: float, high: float, scale: float, per: str
     through = None if axis.input is None else (axis.rate.index, axis.input)
     unit = axis.unit or f"{axis.rate.unit}/s"
     return Coefficient(name, f"{unit}/{per}" if per else unit, low, high, scale, through=through, unsigned=True, **rest)
+
+
+def unknown_force(axis: Axis) -> Coefficient:
+    """Return a constant force of any size: the balance at an operating point that the model does not have."""
+    return force(axis, "constant", -10 * axis.push, 10 * axis.push, 0.1 * axis.push, linear=True, nuisance=True)
 
 
 def _hypothesis(

@@ -16,8 +16,8 @@ def _cubic(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
 
 
 def _about(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """``-k3 ((q - c)^3 + c^3)``: a load holds the spring elsewhere than at the middle of its characteristic."""
-    out[0] -= p[0] * ((z[0] - p[1]) ** 3 + p[1] ** 3)
+    """``-k3 ((q - c)^3 - (q0 - c)^3)``: a load holds the spring at q0, elsewhere than at the middle of its characteristic, ``p = (k3, c, q0)``."""
+    out[0] -= p[0] * ((z[0] - p[1]) ** 3 - (p[2] - p[1]) ** 3)
 
 
 def _fed_back(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -42,9 +42,11 @@ class CubicStiffness:
             scale = 0.05 * axis.push / q.rms**3
             k3 = force(axis, "stiffness", -200 * scale, 200 * scale, scale, f"({q.unit})^3", linear=True)
             yield at_force(axis, _cubic, [state(q)], parameters=[k3], starts=[(0.0,)], **words)
-            centre = Coefficient("centre", q.unit, -3 * q.rms, 3 * q.rms, 0.1 * q.rms)
+            held = 0.0 if q.reverses else q.mean
+            centre = Coefficient("centre", q.unit, held - 3 * q.rms, held + 3 * q.rms, 0.1 * q.rms)
             yield at_force(
-                axis, _about, [state(q)], parameters=[k3, centre], starts=[(0.0, -0.3 * q.rms), (0.0, 0.3 * q.rms)],
+                axis, _about, [state(q)], parameters=[k3, centre, constant("held at", q.unit, held)],
+                starts=[(0.0, held + side * 0.3 * q.rms, held) for side in (-1, 1)],
                 notes={"variant": "about another centre", "of": ""}, **words,
             )
         for joint in joints(machine):

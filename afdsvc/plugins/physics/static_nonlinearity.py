@@ -7,13 +7,19 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Law, Machine, Signal, Size
-from afdsvc.plugins.physics.attach import at_input, at_state, constant, downstream, state, store_states
+from afdsvc.plugins.physics.attach import at_input, at_state, constant, downstream, operating_point, state, store_states
 
 
 def _curve(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``a2 w^2 + a3 w^3`` in units of the rms ``r``: ``w = z / r``, times r."""
     w = z[0] / p[2]
     out[0] += (p[0] * w * w + p[1] * w * w * w) * p[2]
+
+
+def curve_about(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+    """`_curve` of the deviation from an operating point c, ``p = (a2, a3, r, c, shift)``: the model's gain holds there, its zero need not."""
+    w = (z[0] - p[3]) / p[2]
+    out[0] += (p[0] * w * w + p[1] * w * w * w) * p[2] - p[4]
 
 
 def power(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
@@ -83,6 +89,8 @@ class StaticNonlinearity:
         for port in machine.inputs:
             for law, name, parameters, starts in _polynomials(port, "", 1.0):
                 yield at_input(port, law, parameters=parameters, starts=starts, description=True, notes=_shape(name), **words, **_POLYNOMIAL)
+            if not port.reverses:
+                yield at_input(port, curve_about, description=True, **_about(port, "", 1.0), **words, **_POLYNOMIAL)
             level, exponent = _level(port), Coefficient("exponent", "", 0.2, 4.0, 0.1)
             yield at_input(
                 port, power, parameters=[level, exponent], description=True, notes=_shape("power"),
@@ -116,6 +124,8 @@ class StaticNonlinearity:
             rate = max(abs(float(machine.plant.A[port.index, port.index])), 1e-3 * machine.bandwidth)
             law, _, parameters, starts = next(iter(_polynomials(port, "1/s", rate)))
             yield at_state(port, law, [state(port)], parameters=parameters, starts=starts, description=True, **words, **_POLYNOMIAL)
+            if not port.reverses:
+                yield at_state(port, curve_about, [state(port)], description=True, **_about(port, "1/s", rate), **words, **_POLYNOMIAL)
 
 
 def _shape(name: str) -> dict[str, str]:
@@ -139,6 +149,13 @@ def _polynomials(port: Size, unit: str, scale: float) -> Iterable[Form]:
     for name, square, cube in (("", True, True), ("square", True, False), ("cube", False, True)):
         yield _curve, name, [share("quadratic share", square), share("cubic share", cube), reference], [(0.0, 0.0, r)]
     yield signed_square, "signed square", [share("quadratic share"), reference], [(0.0, r)]
+
+
+def _about(port: Size, unit: str, scale: float) -> dict[str, Any]:
+    """Return parameters, starts and variant of `curve_about` for a signal of one sign."""
+    _, _, parameters, starts = next(iter(_polynomials(port, unit, scale)))
+    shift = Coefficient("shift", f"{port.unit}/s" if unit else port.unit, -2 * scale * port.peak, 2 * scale * port.peak, 0.1 * scale * port.rms, linear=True, nuisance=True)
+    return {"parameters": [*parameters, operating_point(port), shift], "starts": [(*starts[0], port.mean, 0.0)], "notes": _shape("about the operating point")}
 
 
 def _flows(store: Size, machine: Machine, words: dict[str, Any]) -> Iterable[Hypothesis]:

@@ -33,7 +33,9 @@ from afdsvc.plugins.physics.hysteresis import over_integral
 from afdsvc.plugins.physics.joint import spring
 from afdsvc.plugins.physics.magnetic_force import pair, single
 from afdsvc.plugins.physics.parameter_follows_state import saturating
+from afdsvc.plugins.physics.quadratic_damping import _in_place as drag_about
 from afdsvc.plugins.physics.quadratic_damping import _joint as turbulent_damper
+from afdsvc.plugins.physics.quadratic_stiffness import _about as spring_about
 from afdsvc.plugins.physics.repulsion import _growing as growing
 from afdsvc.plugins.physics.saturation import (
     ceiling,
@@ -48,7 +50,15 @@ from afdsvc.plugins.physics.saturation import (
 from afdsvc.plugins.physics.self_heating import warming
 from afdsvc.plugins.physics.slew_limit import rate_limited
 from afdsvc.plugins.physics.slow_mode import relaxing
-from afdsvc.plugins.physics.static_nonlinearity import outflow, outflow_about, power, signed_square, thrust, two_slopes
+from afdsvc.plugins.physics.static_nonlinearity import (
+    curve_about,
+    outflow,
+    outflow_about,
+    power,
+    signed_square,
+    thrust,
+    two_slopes,
+)
 from afdsvc.plugins.physics.stribeck_friction import presliding
 from afdsvc.plugins.physics.supply_droop import droop
 
@@ -216,7 +226,11 @@ CASES = [
     Case("damper", in_proportion, (3.0,), axis(lambda q, v, u: -3.0 * v), **AXIS),
     Case("dead time", coulomb_force, (12.0, 0.05), lambda x, u: [-D * x[0] + G * u - 12.0 * np.tanh(x[0] / (0.05 + 12.0 * H))], **SPEED, reads=(("x", 0),), tolerance=5e-3),
     Case("cubic damping", _cubic, (0.2,), axis(lambda q, v, u: -0.2 * v**3), **AXIS),
-    Case("spring held away from its middle", _about, (400.0, -0.1), axis(lambda q, v, u: -400 * (q**3 + 0.3 * q**2 + 0.03 * q)), **AXIS, reads=(("x", 0),)),
+    Case("spring held away from its middle", _about, (400.0, -0.1, 0.0), axis(lambda q, v, u: -400 * (q**3 + 0.3 * q**2 + 0.03 * q)), **AXIS, reads=(("x", 0),)),
+    Case("spring held at a load", _about, (400.0, -0.1, 0.05), axis(lambda q, v, u: -400 * ((q + 0.1) ** 3 - 0.15**3)), **AXIS, reads=(("x", 0),)),
+    Case("spring about a deflection", spring_about, (60.0, 0.1, -5.0), axis(lambda q, v, u: -60 * (q**2 - 0.2 * q + 0.01) + 5.0), **AXIS, reads=(("x", 0),)),
+    Case("drag about a speed", drag_about, (0.4, -1.2, 0.3), lambda x, u: [-D * x[0] + G * u - 0.4 * (x[0] * abs(x[0]) + 1.44 - 2.4 * (x[0] + 1.2)) - 0.3], **SPEED, reads=(("x", 0),)),
+    Case("input curve about a level", curve_about, (0.3, 0.1, 0.5, 0.4, 0.2), lambda x, u: [-D * x[0] + G * (u + 0.6 * (u - 0.4) ** 2 + 0.4 * (u - 0.4) ** 3 - 0.2)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("weight in degrees", _weight, (1500.0, 400.0, np.pi / 180), axis(lambda q, v, u: -1500 * np.sin(np.deg2rad(q)) - 400 * np.cos(np.deg2rad(q))), **AXIS, reads=(("x", 0),), level=60.0),
     Case("pendulum for a spring", _in_place, (K, -K, 1.0), lambda x, u: [x[1], -K * np.sin(x[0]) - D * x[1] + G * u], **AXIS, reads=(("x", 0),)),
     Case("one magnet", single, (2.0, 1.3, G, 1.0, 0.0, 0.0), magnet, **BENT),
