@@ -39,3 +39,44 @@ def test_a_magnetic_force_is_found_in_absolute_signals():
     assert found[0].parameters["bias"].value == pytest.approx(BIAS, rel=0.05)
     assert found[0].parameters["gap"].value == pytest.approx(GAP, rel=0.05)
     assert "sensor_rectification" not in {n.physics for n in found}
+
+
+def driven(law, begin: float, low: float, high: float, hold: int, dt: float, noise: float, seed: int, names: tuple[str, str]) -> Trace:
+    """Return a machine of one state (Runge-Kutta, 20 steps per sample) under commands that are held for a while."""
+    rng = np.random.default_rng(seed)
+    u, x, y, h = np.repeat(rng.uniform(low, high, 30), hold), begin, [], dt / 20
+    for now in u:
+        y.append(x)
+        for _ in range(20):
+            k1 = law(x, now)
+            k2 = law(x + h / 2 * k1, now)
+            k3 = law(x + h / 2 * k2, now)
+            x += h / 6 * (k1 + 2 * k2 + 2 * k3 + law(x + h * k3, now))
+    return Trace(f"r{seed}", dt, (Channel(f"u_{names[0]}", "V"), Channel(f"y_{names[1]}", "rad/s")), np.column_stack([u, np.array(y) + noise * rng.standard_normal(len(u))]))
+
+
+def tangent(name: str, slope: float, gain: float) -> Model:
+    """Return the model of a speed about its operating point, 5 and 4 % beside the tangent of what is true."""
+    plant = StateSpace(np.array([[1.05 * slope]]), np.array([[0.96 * gain]]), np.eye(1), np.zeros((1, 1)))
+    speed = Variable("speed", "rad/s")
+    return Model(name, (Variable("voltage", "V"),), (speed,), (speed,), plant, entry_sd={"A": 0.1 * np.abs(plant.A), "B": 0.1 * np.abs(plant.B)})
+
+
+CURVES = ("quadratic_damping", "static_nonlinearity", "constant_load", "sensor_offset", "dead_zone", "saturation", "supply_droop", "gain_follows_level")
+
+
+def test_the_drag_of_a_fan_that_turns_one_way_is_found_though_the_model_has_its_tangent():
+    drag, gain, middle = 1e-3, 100.0, 200.0  # 1/rad, rad/s^2/V, rad/s
+    *given, held = (driven(lambda w, u: gain * u - drag * w * w, middle, 0.1, 1.0, 60, 0.02, 1.0, s, ("voltage", "speed")) for s in (1, 2, 3))
+    found = explain(tangent("fan", -2 * drag * middle, gain), given, [held], [p for p in afdsvc_physics() if p.name in CURVES], experiment=False).named
+    assert [(n.physics, n.site) for n in found] == [("quadratic_damping", "state:speed")]
+    assert found[0].weight > 0.8
+    assert found[0].parameters["drag"].value == pytest.approx(drag / gain, rel=0.1)
+
+
+def test_the_curve_of_a_valve_is_found_though_the_model_has_its_tangent_and_another_zero():
+    """An exponential characteristic of the input, and a load that the model does not have."""
+    *given, held = (driven(lambda w, u: np.exp(u - 2.0) - 0.8 * (w - 3.0), 4.0, 1.0, 3.0, 60, 0.1, 0.004, s, ("voltage", "speed")) for s in (1, 2, 3))
+    found = explain(tangent("valve", -0.8, 1.0), given, [held], [p for p in afdsvc_physics() if p.name in CURVES], experiment=False).named
+    assert {(n.physics, n.site) for n in found} == {("static_nonlinearity", "input:voltage")}  # a cubic, and what an exponential has beyond it
+    assert found[0].weight > 0.8
