@@ -15,6 +15,7 @@ from afdsvc.explain.search.screen import Screened, Start, ends
 from afdsvc.explain.simulate.effects import PlacedEffect
 
 FINER = 4  # sub-steps of a sample that laws of lags and delays take
+PARTS = 1.0, 0.25, 0.0625  # of what an effect promises at which its fit may begin
 GLANCE, BRIEF = 2, 4  # iterations of every start, and of those that are best after them
 Taus = Mapping[float, float]
 
@@ -66,10 +67,16 @@ def bases(problem: Problem, base: Mapping[float, Fit], taus: Taus) -> list[Mappi
 
 
 def _begin(problem: Problem, base: Fit, start: Start, horizon: float) -> Point:
-    """Return the base with the effect, its free numbers shifted as the effect asks for or not, whichever costs less."""
-    c = Coordinates(problem, base.point)
-    shifted = c.unpack(c.pack(base.point) + start.shift).added(start.effect)
-    return _nearer(problem, [base.point.added(start.effect), shifted], horizon)
+    """Return the base with the effect, its free numbers shifted as the effect asks for or not, whichever costs less; where neither costs less
+    than the base, with a part of both, for what is promised to first order holds over a part of the way."""
+    c, effect, begun = Coordinates(problem, base.point), start.effect, []
+    linear = np.array([k.linear and k.free for k in effect.hypothesis.parameters], dtype=bool)
+    for share in PARTS if linear.any() else PARTS[:1]:
+        less = replace(effect, values=np.where(linear, share * effect.values, effect.values))
+        begun.append(_nearer(problem, [base.point.added(less), c.unpack(c.pack(base.point) + share * start.shift).added(less)], horizon))
+        if _nearer(problem, [base.point, begun[-1]], horizon) is begun[-1]:
+            return begun[-1]
+    return begun[0]
 
 
 def _nearer(problem: Problem, points: Sequence[Point], horizon: float) -> Point:

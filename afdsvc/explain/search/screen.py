@@ -12,7 +12,6 @@ from afdsvc.explain.noise.surrogates import chance
 from afdsvc.explain.noise.weighting import differing
 from afdsvc.explain.search.fit import STEP, Coordinates, Fit, weighted
 from afdsvc.explain.search.problem import Problem
-from afdsvc.explain.search.ranking import is_constant
 from afdsvc.explain.settings import Mapper
 from afdsvc.explain.simulate.effects import PlacedEffect
 from afdsvc.lti.statespace import Array
@@ -79,8 +78,8 @@ class Screen:
         linear = [j for j, c in enumerate(h.parameters) if c.linear and c.free]
         if not linear:
             return self._along(h, values)
-        # Constants of the model move as far as its free numbers do in `fit`: over their whole scale the response curves, which hides what those nearly imitate.
-        units = np.array([values[j] or h.parameters[j].scale for j in linear]) * (STEP if is_constant(h) else 1.0)
+        # They move as far as the free numbers do in `fit`: over their whole scale the response of a lightly damped machine curves, which hides what those imitate.
+        units = STEP * np.array([values[j] or h.parameters[j].scale for j in linear])
         return self._amplitudes(h, values, linear, units)
 
     def _stated(self, h: Hypothesis, values: Array) -> Start:

@@ -79,12 +79,18 @@ def _moving(machine: Machine) -> set[int]:
     return {s.index for a in machine.axes for s in (a.rate, a.position) if s is not None}
 
 
+def stored(machine: Machine) -> list[Size]:
+    """Return the states that belong to no axis, such as currents, voltages, temperatures and levels."""
+    moving = _moving(machine)
+    return [s for s in machine.states if s.index not in moving]
+
+
 def decaying(machine: Machine) -> list[tuple[Size, float]]:
     """Return the states that belong to no axis and decay by themselves, with the rate at which they do."""
     if machine.plant is None:
         return []
-    moving, own = _moving(machine), -np.diag(machine.plant.A)
-    return [(s, float(own[s.index])) for s in machine.states if s.index not in moving and own[s.index] > 0]
+    own = -np.diag(machine.plant.A)
+    return [(s, float(own[s.index])) for s in stored(machine) if own[s.index] > 0]
 
 
 def store_states(machine: Machine) -> list[Size]:

@@ -111,7 +111,7 @@ def _one_sided(stiffness: Coefficient, q: Size, side: float, word: str) -> dict[
     return {
         "physics": "clearance", "family": "stiffness",
         "parameters": [stiffness, Coefficient("place", q.unit, q.mean - q.reach, q.mean + q.reach, 0.02 * q.reach), constant("side", "", side)],
-        "starts": [(0.0, q.mean + side * share * q.reach, side) for share in (0.15, 0.35, 0.6, 0.8)],
+        "starts": [(0.0, q.mean + side * share * q.reach, side) for share in (0.0, 0.15, 0.35, 0.6, 0.8)],
         "predicts": f"a stiffness that sets in {word} a place and nothing on the other side of it", "refuted_by": "distortion alike on both sides",
     }
 

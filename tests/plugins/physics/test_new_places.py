@@ -57,17 +57,17 @@ def test_a_coil_warms_whose_state_is_a_current(unit, offers):
         assert (found["self_heating@state:i#voltage"].parameters[0].through, found["self_heating@state:i#voltage"].parameters[0].unsigned) == ((0, 0), True)
 
 
-def test_numbers_of_code_follow_states_and_of_matrices_inductances_follow_their_current():
+def test_numbers_of_code_follow_states_and_of_matrices_what_states_store_follows_their_own_size():
     code, tanks, coil = (
         {k: h for k, h in offered(machines()[m]).items() if h.physics == "parameter_follows_state"} for m in (REACTOR, TANKS, COIL)
     )
     assert {h.site for h in code.values()} == {"parameter:volume", "parameter:rate"}
     assert {h.reads[1] for h in code.values()} == {Signal("x", 0), Signal("x", 1)}
     assert len({mechanism(h) for h in code.values()}) == len(code) == 4
-    assert tanks == {}
+    assert set(tanks) == {"parameter_follows_state@state:h1#storage", "parameter_follows_state@state:h2#storage"}
     (h,) = coil.values()
     assert h.reads[0] == Signal("x", 0)
-    assert [c.low for c in h.parameters[2:]] == [-1500, -1.4, 250]
+    assert [c.low for c in h.parameters[2:]] == [0.0, -1500, -1.4, 250]
     assert all(h.description for h in [*code.values(), *coil.values()])
 
 
@@ -78,7 +78,7 @@ def test_an_inductance_follows_its_own_current_wherever_that_stands_and_is_left_
     moved = replace(coil, states=states, plant=plant, axes=(replace(coil.axes[0], position=states[0], rate=states[1]),))
     h = offered(moved)["parameter_follows_state@state:i#inductance"]
     assert h.reads == (Signal("x", 2), Signal("x", 1), Signal("u", 0))
-    assert [c.low for c in h.parameters[2:]] == [-1500, -1.4, 250]
+    assert [c.low for c in h.parameters[2:]] == [0.0, -1500, -1.4, 250]
     assert not any(k.startswith("parameter_follows") for k in offered(replace(moved, code=True)))
 
 
