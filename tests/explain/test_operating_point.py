@@ -80,3 +80,33 @@ def test_the_curve_of_a_valve_is_found_though_the_model_has_its_tangent_and_anot
     found = explain(tangent("valve", -0.8, 1.0), given, [held], [p for p in afdsvc_physics() if p.name in CURVES], experiment=False).named
     assert {(n.physics, n.site) for n in found} == {("static_nonlinearity", "input:voltage")}  # a cubic, and what an exponential has beyond it
     assert found[0].weight > 0.8
+
+
+def filtered(seed: int) -> Trace:
+    """Return a coil, a resistor and a ceramic capacitor at a bias: its capacitance falls with its voltage."""
+    rng, dt, inside = np.random.default_rng(seed), 5e-5, 5
+    u, x, seen, h = np.repeat(rng.uniform(6.0, 10.0, 80), 25), np.array([8.0, 0.0]), [], 1e-5
+
+    def rate(x, u):
+        return np.array([x[1] * (1 + (x[0] / 9.5) ** 2) / 1.4, 90.0e-3 * (u - x[0]) - 4.0e-3 * x[1]]) * 1e3  # V, mA, s
+
+    for now in u:
+        seen.append(x)
+        for _ in range(inside):
+            k1 = rate(x, now)
+            k2 = rate(x + h / 2 * k1, now)
+            k3 = rate(x + h / 2 * k2, now)
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3, now))
+    y = np.array(seen) + [0.01, 0.05] * rng.standard_normal((len(u), 2))
+    return Trace(f"r{seed}", dt, (Channel("u_source", "V"), Channel("y_voltage", "V"), Channel("y_current", "mA")), np.column_stack([u, y]))
+
+
+def test_a_capacitance_that_follows_its_voltage_is_found_at_a_bias():
+    A = np.array([[0, 1e3 * (1 + (8 / 9.5) ** 2) / 1.4 * 1.06], [-90.0, -4.2]])
+    plant = StateSpace(A, np.array([[0.0], [90.0]]), np.eye(2), np.zeros((2, 1)))
+    variables = (Variable("voltage", "V"), Variable("current", "mA"))
+    model = Model("filter", (Variable("source", "V"),), variables, variables, plant, entry_sd={"A": 0.1 * np.abs(A), "B": 0.1 * np.abs(plant.B)})
+    names = ("parameter_follows_state", "sensor_nonlinearity", "static_nonlinearity", "gain_follows_level", "self_heating")
+    named = explain(model, [filtered(1), filtered(2)], [filtered(3)], [p for p in afdsvc_physics() if p.name in names], experiment=False).named
+    assert [(n.physics, n.site) for n in named] == [("parameter_follows_state", "state:voltage")]
+    assert named[0].weight > 0.7

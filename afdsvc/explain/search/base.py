@@ -116,7 +116,8 @@ def may_be_smooth(problem: Problem) -> bool:
     """Whether inputs may run smoothly between samples: no controller or command that holds them is known, and they are no staircase."""
     plant = problem.nominal.plant
     driven = any(r.W is not None or r.commanded or bool(np.ptp(r.REF, axis=0).max(initial=0.0) > 0) for r in problem.runs)
-    return not (plant.discrete or not plant.inputs or problem.nominal.model.controller is not None or driven or _stepped(problem))
+    held = bool(plant.inputs) and np.median(np.concatenate([np.abs(np.diff(r.U, axis=0)).max(1) for r in problem.runs])) == 0  # over most intervals
+    return not (plant.discrete or not plant.inputs or problem.nominal.model.controller is not None or driven or held)
 
 
 def otherwise_between(problem: Problem, path: dict[float, Fit]) -> Problem | None:
@@ -126,11 +127,6 @@ def otherwise_between(problem: Problem, path: dict[float, Fit]) -> Problem | Non
     other, (last, f) = replace(problem, ramped=not problem.ramped), list(path.items())[-1]
     gain = (f.deviance - fit(other, f.point, last, f.tau, enough=CONVERGED).deviance) / f.own_tau
     return other if gain > problem.settings.evidence else None
-
-
-def _stepped(problem: Problem) -> bool:
-    """Whether the inputs are constant over most sample intervals: a staircase is held, not smooth."""
-    return bool(np.median(np.concatenate([np.abs(np.diff(r.U, axis=0)).max(1) for r in problem.runs])) == 0)
 
 
 def _horizons(problem: Problem, path: dict[float, Fit]) -> tuple[float, ...]:

@@ -116,7 +116,7 @@ def search(
     the error of coarse steps, which laws that are simulated in finer ones do not have.
     """
     problem, start, limited = settled.problem, settled.start, settled.limited
-    rounds = whole = Rounds(problem, settled.part, settled.taus, start, settled.rough, limited, mapper, remainder, {})
+    rounds = whole = Rounds(problem, settled.part, settled.taus, start, settled.rough, limited, mapper, remainder, {}, progress)
     path, rough = start, settled.rough
     steps: list[Round] = []
     seen = _seen(problem, path, limited)
@@ -126,7 +126,7 @@ def search(
             break
         seen = _seen(problem, path, limited)
         offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in _keys(path) and mechanism(h) not in excluded]
-        rounds = replace(rounds, progress=partial(_within, progress, f"round {len(steps) + 1}", number / problem.settings.effects, 1 / problem.settings.effects))
+        rounds = replace(rounds, at=(f"round {len(steps) + 1}", number / problem.settings.effects))
         step = rounds.next(path, rough, offered, number > 0)
         more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
         while step.accepted and (_ended(more[0]) or ((step.reason or number) and not better(problem, path, more[0]) > (problem.settings.sure if step.reason else 0.0))):
@@ -153,11 +153,6 @@ def search(
     path, steps = _helpful(whole, *whole.exchanged(path, steps), better)
     steps = [_followed(problem, step, path, better) if step.accepted else step for step in steps]
     return Found(problem, start, path, seen, tuple(steps), limited, whole.over(path, start, 0))
-
-
-def _within(progress: Progress, where: str, begin: float, length: float, what: str, share: float) -> None:
-    """Say what is being done in a part of the whole, and how much of that part is done."""
-    progress(f"{where}, {what}", begin + share * length)
 
 
 def _kept(steps: Sequence[Round], path: dict[float, Fit]) -> list[Round]:
@@ -215,14 +210,16 @@ class Rounds(Settled):
     mapper: Mapper
     remainder: Callable[[Problem, Path], Gap | None]
     losses: dict[tuple[Fit, int], Losses]
-    progress: Progress = lambda what, share: None
+    progress: Progress
+    at: tuple[str, float] = "", 0.0  # the round, and the share of the search done before it
 
     def mapped(self, what: str, begin: float, end: float, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         """Return the function of all items, saying how many are done; ``begin`` and ``end`` are shares of the round."""
         given, found = list(items), []
         for result in self.mapper(function, given):
             found.append(result)
-            self.progress(f"{what} {len(found)} of {len(given)}", begin + (end - begin) * len(found) / len(given))
+            share = (begin + (end - begin) * len(found) / len(given)) / self.problem.settings.effects
+            self.progress(f"{self.at[0]}, {what} {len(found)} of {len(given)}", self.at[1] + share)
         return found
 
     def block_losses(self, path: dict[float, Fit], tau: float) -> Losses:

@@ -75,8 +75,8 @@ def _begin(problem: Problem, base: Fit, start: Start, horizon: float) -> Point:
         less = replace(effect, values=np.where(linear, share * effect.values, effect.values))
         begun.append(_nearer(problem, [base.point.added(less), c.unpack(c.pack(base.point) + share * start.shift).added(less)], horizon))
         if _nearer(problem, [base.point, begun[-1]], horizon) is begun[-1]:
-            return begun[-1]
-    return begun[0]
+            break
+    return _nearer(problem, begun, horizon)
 
 
 def _nearer(problem: Problem, points: Sequence[Point], horizon: float) -> Point:
