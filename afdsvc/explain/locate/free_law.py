@@ -65,7 +65,7 @@ def site(like: Hypothesis, machine: Machine, values: Array) -> LawSite | None:
     if axis is None or read.kind != "x":
         return None
     speed = read.index == axis.rate.index
-    x = _about_rest(values) if speed else _spread(values)
+    x = float(np.percentile(np.abs(values), REACH[1])) * np.array([*(-h for h in reversed(HALF)), 0.0, *HALF]) if speed else _spread(values)
     return LawSite(_free(like, x, axis.push, "friction" if speed else "force"), of, f"force on {axis.name}", of.name, *_force(axis), False)
 
 
@@ -76,10 +76,6 @@ def _force(axis: Axis) -> tuple[str, float]:
 def _spread(values: Array) -> Array:
     low, high = np.percentile(values, REACH)
     return np.linspace(low, high, KNOTS)
-
-
-def _about_rest(values: Array) -> Array:
-    return float(np.percentile(np.abs(values), REACH[1])) * np.array([*(-h for h in reversed(HALF)), 0.0, *HALF])
 
 
 def _free(like: Hypothesis, x: Array, scale: float, family: str) -> Hypothesis:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy.linalg as sla
 
 from afdsvc.dataset.experiment import Run
 from afdsvc.dataset.screening import LARGEST
@@ -27,7 +29,7 @@ SHARES = (1.0, 0.3, 0.1, 0.03)
 def build(nominal: Nominal, runs: Sequence[Run], settings: Settings, heldout: Sequence[Run] = ()) -> Problem:
     """Return the problem of explaining ``runs`` with the model; ``heldout`` must be simulated in the same way."""
     scale = _positive(np.sqrt(np.mean([np.nanvar(r.Y, axis=0) for r in runs], axis=0)))
-    force = _force(nominal, runs)
+    force = _force(nominal, runs, scale)
     theta = np.zeros(len(nominal.entries))
     gains = {h: correction_gain(nominal, theta, (force, scale), h) for h in (*settings.horizons, STRONG)}
     n = nominal.plant.order
@@ -45,12 +47,18 @@ def _positive(x: Array) -> Array:
     return np.asarray(np.where(x > 0, x, 1.0))
 
 
-def _force(nominal: Nominal, runs: Sequence[Run]) -> Array:
-    """Return the rms of what the inputs do to the rate of every state, ``(n,)``: where forces act, and how large they are."""
-    B = nominal.plant.B
-    rms = np.sqrt(np.mean(np.vstack([r.U for r in runs]) ** 2, axis=0)) if B.shape[1] else np.zeros(0)
-    force = np.sqrt((B * rms) ** 2 @ np.ones(B.shape[1])) if B.shape[1] else np.zeros(len(B))
-    return np.asarray(np.where(force > 0, force, 0.0) if force.any() else np.ones(len(B)))
+def _force(nominal: Nominal, runs: Sequence[Run], scale: Array) -> Array:
+    """Return the rms of what the inputs do to the rate of every state, ``(n,)``: where forces act, and how large they are. Of a machine that nothing
+    drives it is that of its free motion with outputs of this ``scale``, by its Gramian."""
+    A, B, C = nominal.plant.A, nominal.plant.B, nominal.plant.C
+    rms = np.sqrt(np.mean(np.vstack([r.U for r in runs]) ** 2, axis=0))
+    force = np.sqrt((B * rms) ** 2 @ np.ones(B.shape[1]))
+    if force.any() or nominal.plant.discrete or not len(A):
+        return np.asarray(force if force.any() else np.ones(len(B)))
+    with np.errstate(invalid="ignore"), warnings.catch_warnings(action="ignore"):
+        P = sla.solve_continuous_lyapunov(A, -np.eye(len(A)))
+        free = np.sqrt(np.diag(A @ P @ A.T)) * np.max(scale / np.sqrt(np.diag(C @ P @ C.T)))
+    return np.asarray(free if np.isfinite(free).all() and free.any() else np.ones(len(B)))
 
 
 def growth(nominal: Nominal) -> float:

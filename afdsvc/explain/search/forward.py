@@ -68,7 +68,7 @@ STARTS = 2  # of every hypothesis that are tried, by what they promise
 class Round:
     """One round: the candidates, best first; whether the first was accepted, and why not; of an accepted one, why only the recordings held out could
     confirm it, and, of a further effect, what is decided ``instead`` where they do not. ``limited`` says what limits the best fit: "noise" or "model".
-    ``worse`` are look-alikes with which those recordings are surely followed worse."""
+    ``worse`` are look-alikes with which those recordings are surely followed worse, ``confirmed`` how sure they are followed better with the first."""
 
     candidates: tuple[Candidate, ...]
     accepted: bool
@@ -76,6 +76,7 @@ class Round:
     reason: str = ""
     instead: Round | None = None
     worse: tuple[Candidate, ...] = ()
+    confirmed: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +165,8 @@ def _kept(steps: Sequence[Round], path: dict[float, Fit]) -> list[Round]:
 
 
 def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Better) -> tuple[Path, list[Round]]:
-    """Return the path and the rounds without effects that the recordings held out are likely followed better without, beside the others."""
+    """Return the path and the rounds without effects that the recordings held out are likely followed better without, beside the others; of the
+    rest, how sure it is that they are followed better with them."""
     found = list(steps)
     for k, step in enumerate(found):
         at = [i for i, e in enumerate(list(path.values())[-1].point.effects) if step.accepted and e.hypothesis.key == step.candidates[0].hypothesis.key]
@@ -173,6 +175,8 @@ def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Better)
             if better(rounds.problem, path, fewer) > rounds.problem.settings.probable:
                 why = f"{step.candidates[0].hypothesis.title}: the recordings held out are followed better without it"
                 path, found[k] = fewer, replace(step, accepted=False, reason=why)
+            else:
+                found[k] = replace(step, confirmed=better(rounds.problem, fewer, path))
     return path, [*(s for s in found if s.accepted), *(s for s in found if not s.accepted)]
 
 

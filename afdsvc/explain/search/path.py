@@ -69,14 +69,14 @@ def bases(problem: Problem, base: Mapping[float, Fit], taus: Taus) -> list[Mappi
 def _begin(problem: Problem, base: Fit, start: Start, horizon: float) -> Point:
     """Return the base with the effect, its free numbers shifted as the effect asks for or not, whichever costs less; where neither costs less
     than the base, with a part of both, for what is promised to first order holds over a part of the way."""
-    c, effect, begun = Coordinates(problem, base.point), start.effect, []
+    c, effect, point = Coordinates(problem, base.point), start.effect, base.point
     linear = np.array([k.linear and k.free for k in effect.hypothesis.parameters], dtype=bool)
-    for share in PARTS if linear.any() else PARTS[:1]:
+    for share in PARTS:
         less = replace(effect, values=np.where(linear, share * effect.values, effect.values))
-        begun.append(_nearer(problem, [base.point.added(less), c.unpack(c.pack(base.point) + share * start.shift).added(less)], horizon))
-        if _nearer(problem, [base.point, begun[-1]], horizon) is begun[-1]:
+        point = _nearer(problem, [base.point.added(less), c.unpack(c.pack(base.point) + share * start.shift).added(less)], horizon)
+        if not linear.any() or _nearer(problem, [base.point, point], horizon) is point:
             break
-    return _nearer(problem, begun, horizon)
+    return point
 
 
 def _nearer(problem: Problem, points: Sequence[Point], horizon: float) -> Point:

@@ -201,14 +201,6 @@ def played_back(problem: Problem, point: Point, horizon: float = 0.0) -> tuple[l
     return runs, states
 
 
-def error(problem: Problem, point: Point, horizon: float = 0.0) -> float:
-    """Return the NRMSE in percent over all runs, the mean over outputs."""
-    outputs, _ = played_back(problem, point, horizon)
-    e = np.vstack([r.Y - y for r, y in zip(problem.runs, outputs, strict=True)])
-    spread = np.sqrt(np.mean([np.nanvar(r.Y, axis=0) for r in problem.runs], axis=0))
-    return float(100 * np.mean(np.sqrt(np.nanmean(e**2, axis=0)) / spread))
-
-
 def _begun(problem: Problem, point: Point, horizon: float) -> Point:
     """Return the point with the initial state of the only run, and what memories begin with, that fit it best: from the state of the point and from rest.
 

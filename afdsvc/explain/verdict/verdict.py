@@ -48,13 +48,14 @@ def verdict(found: Found, gap: Gap, remainder: Gap | None) -> Verdict:
         word, sentences = _nothing(found, gap, implausible)
         return Verdict(word, (), sentences, gap, remainder, explained)
     open_ended = remainder is not None and remainder.present
-    uncertain = found.problem.settings.uncertain
-    most = [min(complete, uncertain if implausible or s.reason or (open_ended and k) else 1.0) for k, s in enumerate(accepted)]
+    uncertain, even = found.problem.settings.uncertain, found.problem.settings.probable
+    most = [min(complete, max(s.confirmed, even), uncertain if implausible or s.reason or (open_ended and k) else 1.0) for k, s in enumerate(accepted)]
     claims = [c for k, s in enumerate(accepted) for c in _claims(s, k + 1, most[k], found)]
     firsts = [next(c for c in claims if c.effect == k) for k in range(1, len(accepted) + 1)]
     word = "parameter_change" if all(is_constant(c.candidate.hypothesis) for c in firsts) else "omitted_physics"
     limit = (f"the named effects close {100 * complete:.0f} % of what can be explained; no name is surer than that",) if complete < 0.995 else ()
     doubts = tuple(f"{s.reason}; the recordings held out confirm it: no name is certain" for s in accepted if s.reason)
+    doubts += tuple(f"{s.candidates[0].hypothesis.title}: the recordings held out do not confirm it beside the other effects" for s in accepted if s.confirmed < even)
     return Verdict(word, tuple(claims), (*_rest(gap, remainder, explained), *limit, *doubts, *implausible), gap, remainder, explained)
 
 

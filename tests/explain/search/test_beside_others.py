@@ -96,7 +96,7 @@ def test_a_stand_in_gives_way_once_the_other_effects_are_known():
         values[:, 1] = lfilter([1 - lag], [1, -lag], values[:, 1])
         traces.append(replace(rubbed, name=f"r{seed}", values=values))
     base = settled(problem(traces))
-    rounds = Rounds(base.problem, base.part, base.taus, base.start, base.rough, base.limited, map, lambda problem, path: None, {})
+    rounds = Rounds(base.problem, base.part, base.taus, base.start, base.rough, base.limited, map, lambda problem, path: None, {}, lambda what, share: None)
     seen = machine(base.problem, list(base.start.values())[-1], 0.0)
     step = rounds.next(base.start, base.rough, hypotheses([CoulombFriction(), DeadZone()], seen), False)
     by_name = {c.hypothesis.physics: c for c in reversed(step.candidates)}

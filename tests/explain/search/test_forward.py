@@ -325,7 +325,7 @@ def test_the_evidence_knows_the_share_of_noise_where_the_excitation_repeats(foun
     """Of a residual of white noise, all that differs between periods is noise: its power but for that of the mean."""
     runs = tuple(replace(r, period=500) for r in found.problem.runs)
     for noisy, share in ((found.problem, 0.0), (replace(found.problem, runs=runs), 1.0)):
-        rounds = forward.Rounds(noisy, noisy, noise_times([found.end]), found.start, found.start, "model", map, lambda problem, path: None, {})
+        rounds = forward.Rounds(noisy, noisy, noise_times([found.end]), found.start, found.start, "model", map, lambda problem, path: None, {}, lambda what, share: None)
         assert rounds.over(found.end, found.start, 1).noise == pytest.approx(share, abs=0.1)
 
 

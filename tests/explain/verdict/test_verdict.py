@@ -51,10 +51,10 @@ def test_the_deviation_of_the_explained_share_is_that_of_blocks_drawn_anew(floor
     assert expected < 0.01
 
 
-def _found(effects: list[Candidate], evidence: HypothesisEvidence) -> SimpleNamespace:
+def _found(effects: list[Candidate], evidence: HypothesisEvidence, confirmed: float = 1.0) -> SimpleNamespace:
     """Return a search that accepted these effects, with this evidence for all of them."""
     problem = SimpleNamespace(settings=Settings(), weighting=SimpleNamespace(even=True, measured=False), nominal=SimpleNamespace(entries=()))
-    steps = [SimpleNamespace(accepted=True, candidates=[e], limited="model", reason="") for e in effects]
+    steps = [SimpleNamespace(accepted=True, candidates=[e], limited="model", reason="", confirmed=confirmed) for e in effects]
     return SimpleNamespace(steps=steps, problem=problem, end={0.0: SimpleNamespace(point=SimpleNamespace(theta=np.zeros(0), effects=()))}, evidence=evidence)
 
 
@@ -74,6 +74,14 @@ def test_no_name_is_certain_where_the_model_contradicts_its_owner(moved, certain
     answer = verdict(found, SimpleNamespace(present=True, total=0.9, sentence=""), None)
     assert (answer.claims[0].weight > Settings().uncertain) == certain
     assert any("more than 5 stated standard deviations from what is stated: no name is certain" in s for s in answer.sentences) != certain
+
+
+@pytest.mark.parametrize(("confirmed", "most"), [(1.0, 1.0), (0.7, 0.7), (0.2, 0.5)])
+def test_no_name_is_surer_than_the_recordings_held_out_confirm_it_beside_the_other_effects(confirmed, most):
+    """Half at least: a part of a model that follows them better as a whole is not refuted by them."""
+    answer = verdict(_found([candidate("friction")], candidate("friction").evidence, confirmed), SimpleNamespace(present=True, total=0.9, sentence=""), None)
+    assert answer.claims[0].weight == most
+    assert any("the recordings held out do not confirm it beside the other effects" in s for s in answer.sentences) == (confirmed < 0.5)
 
 
 @pytest.mark.parametrize(("changed", "kind", "certain"), [(1, "p", True), (0, "p", False), (1, "x", False)])
