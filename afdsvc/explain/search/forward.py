@@ -68,7 +68,7 @@ STARTS = 2  # of every hypothesis that are tried, by what they promise
 class Round:
     """One round: the candidates, best first; whether the first was accepted, and why not; of an accepted one, why only the recordings held out could
     confirm it, and, of a further effect, what is decided ``instead`` where they do not. ``limited`` says what limits the best fit: "noise" or "model".
-    ``worse`` are look-alikes with which those recordings are surely followed worse, ``confirmed`` how sure they are followed better with the first."""
+    ``worse`` are look-alikes with which those recordings are surely followed worse, ``confirmed`` how sure they are followed better with it."""
 
     candidates: tuple[Candidate, ...]
     accepted: bool
@@ -129,13 +129,15 @@ def search(
         offered = [h for h in hypotheses(library, seen, not problem.regular) if h.key not in _keys(path) and mechanism(h) not in excluded]
         rounds = replace(rounds, at=(f"round {len(steps) + 1}", number / problem.settings.effects))
         step = rounds.next(path, rough, offered, number > 0)
-        more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
-        while step.accepted and (_ended(more[0]) or ((step.reason or number) and not better(problem, path, more[0]) > (problem.settings.sure if step.reason else 0.0))):
+        more, surely = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough), 1.0
+        while step.accepted and (
+            _ended(more[0]) or ((step.reason or number) and not (surely := better(problem, path, more[0])) > (problem.settings.sure if step.reason else 0.0))
+        ):
             why = "its fit ends at the limit of what it means" if _ended(more[0]) else "the recordings held out are followed worse with it"
             refuted = replace(step, accepted=False, reason=step.reason or f"{step.candidates[0].hypothesis.title}: {why}")
             steps, step = (steps, refuted) if step.instead is None else ([*steps, refuted], step.instead)
             more = rounds.accepted(step.candidates[0]) if step.accepted else (path, rough)
-        steps.append(step)
+        steps.append(replace(step, confirmed=surely))
         if not step.accepted:
             break
         path, rough = more
@@ -165,8 +167,7 @@ def _kept(steps: Sequence[Round], path: dict[float, Fit]) -> list[Round]:
 
 
 def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Better) -> tuple[Path, list[Round]]:
-    """Return the path and the rounds without effects that the recordings held out are likely followed better without, beside the others; of the
-    rest, how sure it is that they are followed better with them."""
+    """Return the path and the rounds without effects that the recordings held out are likely followed better without, beside the others."""
     found = list(steps)
     for k, step in enumerate(found):
         at = [i for i, e in enumerate(list(path.values())[-1].point.effects) if step.accepted and e.hypothesis.key == step.candidates[0].hypothesis.key]
@@ -175,8 +176,6 @@ def _helpful(rounds: Rounds, path: Path, steps: Sequence[Round], better: Better)
             if better(rounds.problem, path, fewer) > rounds.problem.settings.probable:
                 why = f"{step.candidates[0].hypothesis.title}: the recordings held out are followed better without it"
                 path, found[k] = fewer, replace(step, accepted=False, reason=why)
-            else:
-                found[k] = replace(step, confirmed=better(rounds.problem, fewer, path))
     return path, [*(s for s in found if s.accepted), *(s for s in found if not s.accepted)]
 
 

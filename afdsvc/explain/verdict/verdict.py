@@ -55,7 +55,7 @@ def verdict(found: Found, gap: Gap, remainder: Gap | None) -> Verdict:
     word = "parameter_change" if all(is_constant(c.candidate.hypothesis) for c in firsts) else "omitted_physics"
     limit = (f"the named effects close {100 * complete:.0f} % of what can be explained; no name is surer than that",) if complete < 0.995 else ()
     doubts = tuple(f"{s.reason}; the recordings held out confirm it: no name is certain" for s in accepted if s.reason)
-    doubts += tuple(f"{s.candidates[0].hypothesis.title}: the recordings held out do not confirm it beside the other effects" for s in accepted if s.confirmed < even)
+    doubts += tuple(f"{s.candidates[0].hypothesis.title}: the recordings held out do not confirm it beside what was found before" for s in accepted if s.confirmed < even)
     return Verdict(word, tuple(claims), (*_rest(gap, remainder, explained), *limit, *doubts, *implausible), gap, remainder, explained)
 
 
