@@ -22,7 +22,9 @@ def late(trace: Trace) -> Trace:
 
 def test_a_late_clock_is_named_beside_what_the_machine_lacks():
     runs = [recording(60.0, seed) for seed in (1, 2, 3)]
-    found = {n.physics: n for n in explain(model(), [late(r) for r in runs[:2]], [late(runs[2])], LIBRARY, experiment=False).named}
-    assert set(found) == {"coulomb_friction", "clock_offset"}
-    assert found["clock_offset"].parameters["offset"].value == pytest.approx(DT, rel=0.3)
+    named = explain(model(), [late(r) for r in runs[:2]], [late(runs[2])], LIBRARY, experiment=False).named
+    first, second = (next(n for n in named if n.effect == k) for k in (1, 2))  # friction with a breakaway force, of unknown size, may fit alike
+    assert [first.physics, second.physics] == ["coulomb_friction", "clock_offset"]
+    assert {n.physics for n in named} <= {"coulomb_friction", "stribeck_friction", "clock_offset"}
+    assert second.parameters["offset"].value == pytest.approx(DT, rel=0.3)
     assert "clock_offset" not in {n.physics for n in explain(model(), runs[:2], runs[2:], LIBRARY, experiment=False).named}
