@@ -20,7 +20,7 @@ def two_edges(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     out[0] -= min(max(z[0], -p[1]), p[0])
 
 
-def centred(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
+def about_centre(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """The input loses what lies within ``+-p[0]`` of ``p[1]``, and ``p[2]``: its zero may be another one than the model's."""
     out[0] -= p[2] + min(max(z[0] - p[1], -p[0]), p[0])
 
@@ -52,7 +52,7 @@ class DeadZone:
                 centre = Coefficient("centre", port.unit, port.mean - 3 * r, port.mean + 3 * r, 0.1 * r)
                 shift = Coefficient("shift", port.unit, -2 * port.peak, 2 * port.peak, 0.1 * r, nuisance=True)
                 yield at_input(
-                    port, centred, parameters=[replace(width, low=1e-4 * r), centre, shift],
+                    port, about_centre, parameters=[replace(width, low=1e-4 * r), centre, shift],
                     starts=[(a * r, port.mean + c * r, zero) for zero in (0.0, port.mean) for a, c in ((0.2, 0.0), (0.6, 0.0), (0.4, -0.7), (0.4, 0.7))],
                     notes={"variant": "about another centre", "of": ""}, **words,
                 )

@@ -24,7 +24,7 @@ from afdsvc.plugins.physics.constant_load import drifting
 from afdsvc.plugins.physics.coulomb_friction import _joint, along, asymmetric, coulomb_force, jenkins, loaded, reaction
 from afdsvc.plugins.physics.cubic_damping import _cubic
 from afdsvc.plugins.physics.cubic_stiffness import _about
-from afdsvc.plugins.physics.dead_zone import centred
+from afdsvc.plugins.physics.dead_zone import about_centre
 from afdsvc.plugins.physics.exchange import conducted, turbulent
 from afdsvc.plugins.physics.gain_follows_level import _orifice
 from afdsvc.plugins.physics.gain_follows_position import geared, through_coil
@@ -252,7 +252,7 @@ CASES = [
     Case("rotor with a thrust", thrust, (1.2, 0.05), lambda x, u: [-D * x[0] + G * x[1] * abs(x[1]) / 1.2, (u - x[1]) / 0.05], **SPEED, reads=(("u", 0),), stage="input", memory=1, hidden=(0.0,)),
     Case("thrust", power, (1.2, 2.0), lambda x, u: [-D * x[0] + G * u * abs(u) / 1.2], **SPEED, reads=(("u", 0),), stage="input"),
     Case("signed square", signed_square, (0.3, 1.2), lambda x, u: [-D * x[0] + G * (u + 0.3 * u * abs(u) / 1.2)], **SPEED, reads=(("u", 0),), stage="input"),
-    Case("dead zone about a centre", centred, (0.2, 0.3, 0.1), lambda x, u: [-D * x[0] + G * (0.2 + max(u - 0.5, 0) + min(u - 0.1, 0))], **SPEED, reads=(("u", 0),), stage="input"),
+    Case("dead zone about a centre", about_centre, (0.2, 0.3, 0.1), lambda x, u: [-D * x[0] + G * (0.2 + max(u - 0.5, 0) + min(u - 0.1, 0))], **SPEED, reads=(("u", 0),), stage="input"),
     Case("limit above", cut_above, (0.5,), lambda x, u: [-D * x[0] + G * min(u, 0.5)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("limit below", cut_below, (-0.3,), lambda x, u: [-D * x[0] + G * max(u, -0.3)], **SPEED, reads=(("u", 0),), stage="input"),
     Case("limit that falls with the speed", ceiling, (0.9, 0.4, G), lambda x, u: [-D * x[0] + G * np.clip(u, -0.9 - 0.4 * x[0], 0.9 - 0.4 * x[0])], **SPEED, reads=(("u", 0), ("x", 0)), tolerance=1e-2),
