@@ -13,7 +13,7 @@ from afdsvc.api.model import Model, Quantity, Variable
 from afdsvc.api.physics import Signal
 from afdsvc.api.signals import Channel, Trace
 from afdsvc.dataset.experiment import prepare
-from afdsvc.explain.search.build import build, growth
+from afdsvc.explain.search.build import _force, build, growth
 from afdsvc.explain.search.problem import LOST, _residual
 from afdsvc.explain.settings import Settings
 from afdsvc.explain.simulate.nominal import nominal
@@ -85,3 +85,28 @@ def test_the_initial_state_is_found_far_from_what_was_fitted(angle, rate):
     fitted, held = prepare(model, [swing(0.1, 0.0), swing(angle, rate)])
     found = on(build(nominal(model, STEP), [fitted], Settings()), [held]).x0[0]
     assert found == pytest.approx([angle, rate], abs=0.1)
+
+
+@pytest.mark.parametrize("inputs", [0, 1])
+def test_the_scale_of_unknown_forces_on_a_machine_that_nothing_drives_is_that_of_its_free_motion(inputs):
+    """Oracle: the rms of velocity and acceleration of a decay from rest, simulated by scipy; an input that is zero drives nothing."""
+    A = np.array([[0, 1.0], [-900.0, -0.6]])
+    decay = solve_ivp(lambda t, x: A @ x, (0, 20), [3.0, 0.0], t_eval=np.arange(0, 20, 0.005), rtol=1e-9, atol=1e-12).y
+    free = nominal(pushed(A, inputs), 0.005)
+    (run,) = prepare(free.model, [Trace("decay", 0.005, (*[Channel("u_f", "N")] * inputs, Channel("y_q", "m")), np.column_stack([*[0 * decay[0]] * inputs, decay[0]]))])
+    expected = np.sqrt(np.mean((A @ decay) ** 2, axis=1))
+    assert _force(free, [run], np.array([decay[0].std()])) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("A", [[[0, 1.0], [9.0, -0.1]], [[0, 1.0], [0, 0]]])
+def test_it_is_one_where_free_motion_has_no_size(A):
+    fallen = nominal(pushed(np.array(A), 0), 0.005)
+    (run,) = prepare(fallen.model, [Trace("r", 0.005, (Channel("y_q", "m"),), np.linspace(0, 1, 200)[:, None])])
+    assert _force(fallen, [run], np.ones(1)).tolist() == [1.0, 1.0]
+
+
+def pushed(A, inputs: int) -> Model:
+    """A mass with as many inputs as asked for, none or one."""
+    plant = StateSpace(A, np.array([[0.0], [1.0]])[:, :inputs], np.array([[1.0, 0]]), np.zeros((1, inputs)))
+    states = (Variable("q", "m"), Variable("v", "m/s", rate_of="q"))
+    return Model("mass", (Variable("f", "N"),)[:inputs], (Variable("q", "m"),), states, plant)

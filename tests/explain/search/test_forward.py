@@ -182,6 +182,7 @@ def test_a_further_effect_that_recordings_held_out_follow_worse_is_not_accepted(
     base = settled(build(nominal(model, motor.DT), prepare(model, late), Settings(effects=2)))
     both, one = (search(base, LIBRARY, better=lambda problem, before, after, sure=sure: sure) for sure in (0.5, 0.0))
     assert (both.effects, one.effects) == (2, 1)
+    assert [s.confirmed for s in both.steps if s.accepted] == [1.0, 0.5]  # the first is compared with the model, in the verdict
     assert any("recordings held out" in s.reason for s in one.steps[1:])
 
     def without(problem, before, after):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from afdsvc.api.physics import Signal
+from afdsvc.api.physics import Machine, Signal
 from afdsvc.explain.search.ranking import mechanism
 from afdsvc.lti.statespace import StateSpace
 from afdsvc.plugins.physics.eccentricity import out_of_round
@@ -269,3 +269,44 @@ def test_no_term_of_a_curve_of_a_sensor_exceeds_the_reading_at_its_peak(mean, rm
         out = np.zeros(1)
         h.law(np.array([*most, size.low]), np.array([max(peak, rms)]), np.zeros(0), 0.1, out)
         assert abs(out[0]) == pytest.approx(max(peak, rms))
+
+
+def one_sided(machine: Machine, kind: str) -> Machine:
+    """Return the machine with its "inputs", "outputs" or "states" of one sign about 10."""
+    def moved(size):
+        return replace(size, mean=10.0, peak=10.0 + 3 * size.rms, reverses=False)
+
+    axes = machine.axes
+    if kind == "states":
+        axes = tuple(replace(a, rate=moved(a.rate), position=a.position and moved(a.position)) for a in axes)
+    return replace(machine, axes=axes, **{kind: tuple(map(moved, getattr(machine, kind)))})
+
+
+@pytest.mark.parametrize(("number", "kind", "keys"), [
+    (MOTOR, "inputs", {"static_nonlinearity@input:voltage#about the operating point"}),
+    (MOTOR, "states", {"quadratic_damping@state:w#in place of a line"}),
+    (MOTOR, "outputs", {"sensor_nonlinearity@output:w#about the operating point"}),
+    (ARM, "states", {"quadratic_damping@state:w#in place of a line", "quadratic_stiffness@state:w#about the operating point"}),
+    (TANKS, "states", {"static_nonlinearity@state:h1#about the operating point", "static_nonlinearity@state:h2#about the operating point"}),
+])  # fmt: skip
+def test_laws_about_an_operating_point_are_offered_where_a_signal_has_one_sign(number, kind, keys):
+    found = offered(one_sided(machines()[number], kind))
+    for offers, expected in ((offered(machines()[number]), set()), (found, keys)):
+        assert {k for k in offers if "operating point" in k or ("damping" in k and "in place of a line" in k)} == expected
+    assert all(any(c.name == "operating point" and c.low == 10.0 and not c.free for c in found[k].parameters) for k in keys)
+
+
+def test_a_cubic_spring_is_held_where_its_position_has_one_sign():
+    arm = machines()[ARM]
+    for machine, held in ((arm, 0.0), (one_sided(arm, "states"), 10.0)):
+        h = offered(machine)["cubic_stiffness@state:w#about another centre"]
+        assert (h.parameters[2].low, (h.parameters[1].low + h.parameters[1].high) / 2) == pytest.approx((held, held))
+
+
+def test_a_sensor_curve_about_an_operating_point_adds_nothing_there_and_curves_beside_it():
+    """Oracle: the formula, at once."""
+    h = offered(one_sided(machines()[MOTOR], "outputs"))["sensor_nonlinearity@output:w#about the operating point"]
+    for reading, added in ((10.0, 0.0), (12.0, (0.3 * 1 + 0.1 * 1) * 2), (6.0, (0.3 * 4 - 0.1 * 8) * 2)):
+        out = np.zeros(1)
+        h.law(np.array([0.3, 0.1, 2.0, 10.0]), np.array([reading]), np.zeros(0), 0.1, out)
+        assert out[0] == pytest.approx(added)
