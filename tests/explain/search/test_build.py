@@ -105,6 +105,16 @@ def test_it_is_one_where_free_motion_has_no_size(A):
     assert _force(fallen, [run], np.ones(1)).tolist() == [1.0, 1.0]
 
 
+def test_it_is_one_of_a_discrete_plant_and_none_where_there_is_no_state():
+    readings = Trace("r", 0.005, (Channel("y_q", "m"),), np.linspace(0, 1, 200)[:, None])
+    stepped = StateSpace(np.array([[0.9]]), np.zeros((1, 0)), np.eye(1), np.zeros((1, 0)), 0.005)
+    gain = StateSpace(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((1, 0)), np.zeros((1, 0)))
+    for plant, expected in ((stepped, [1.0]), (gain, [])):
+        q = Variable("q", "m")
+        free = nominal(Model("free", (), (q,), (q,) * plant.order, plant), 0.005)
+        assert _force(free, prepare(free.model, [readings]), np.ones(1)).tolist() == expected
+
+
 def pushed(A, inputs: int) -> Model:
     """A mass with as many inputs as asked for, none or one."""
     plant = StateSpace(A, np.array([[0.0], [1.0]])[:, :inputs], np.array([[1.0, 0]]), np.zeros((1, inputs)))
