@@ -107,7 +107,7 @@ def test_it_is_one_where_free_motion_has_no_size(A):
 
 def test_it_is_one_of_a_discrete_plant_and_none_where_there_is_no_state():
     readings = Trace("r", 0.005, (Channel("y_q", "m"),), np.linspace(0, 1, 200)[:, None])
-    stepped = StateSpace(np.array([[0.9]]), np.zeros((1, 0)), np.eye(1), np.zeros((1, 0)), 0.005)
+    stepped = StateSpace(np.array([[-0.9]]), np.zeros((1, 0)), np.eye(1), np.zeros((1, 0)), 0.005)
     gain = StateSpace(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((1, 0)), np.zeros((1, 0)))
     for plant, expected in ((stepped, [1.0]), (gain, [])):
         q = Variable("q", "m")
