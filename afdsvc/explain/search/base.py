@@ -116,7 +116,7 @@ def may_be_smooth(problem: Problem) -> bool:
     """Whether inputs may run smoothly between samples: no controller or command that holds them is known, and they are no staircase."""
     plant = problem.nominal.plant
     driven = any(r.W is not None or r.commanded or bool(np.ptp(r.REF, axis=0).max(initial=0.0) > 0) for r in problem.runs)
-    held = bool(plant.inputs) and np.median(np.concatenate([np.abs(np.diff(r.U, axis=0)).max(1) for r in problem.runs])) == 0  # over most intervals
+    held = bool(plant.inputs) and np.median(np.concatenate([np.abs(np.diff(r.U, axis=0)).max(1) for r in problem.runs])) == 0  # a staircase
     return not (plant.discrete or not plant.inputs or problem.nominal.model.controller is not None or driven or held)
 
 

@@ -53,12 +53,12 @@ def _force(nominal: Nominal, runs: Sequence[Run], scale: Array) -> Array:
     A, B, C = nominal.plant.A, nominal.plant.B, nominal.plant.C
     rms = np.sqrt(np.mean(np.vstack([r.U for r in runs]) ** 2, axis=0))
     force = np.sqrt((B * rms) ** 2 @ np.ones(B.shape[1]))
-    if force.any() or nominal.plant.discrete or not len(A):
-        return np.asarray(force if force.any() else np.ones(len(B)))
+    if force.any():
+        return np.asarray(force)
     with np.errstate(invalid="ignore"), warnings.catch_warnings(action="ignore"):
         P = sla.solve_continuous_lyapunov(A, -np.eye(len(A)))
         free = np.sqrt(np.diag(A @ P @ A.T)) * np.max(scale / np.sqrt(np.diag(C @ P @ C.T)))
-    return np.asarray(free if np.isfinite(free).all() and free.any() else np.ones(len(B)))
+    return np.asarray(free if not nominal.plant.discrete and np.isfinite(free).all() and free.any() else np.ones(len(B)))
 
 
 def growth(nominal: Nominal) -> float:

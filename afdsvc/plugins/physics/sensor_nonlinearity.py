@@ -7,17 +7,12 @@ from typing import Any
 
 from afdsvc.api.physics import Coefficient, Hypothesis, Machine
 from afdsvc.plugins.physics.attach import at_output, constant, operating_point
+from afdsvc.plugins.physics.static_nonlinearity import curve_about
 
 
 def _curve(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
     """``a2 w^2 + a3 w^3`` in units of the rms ``r``: ``w = y / r``, times r."""
     w = z[0] / p[2]
-    out[0] += (p[0] * w * w + p[1] * w * w * w) * p[2]
-
-
-def _about(p: Any, z: Any, m: Any, dt: float, out: Any) -> None:
-    """`_curve` of the deviation from an operating point ``p[3]``, where the model's gain holds."""
-    w = (z[0] - p[3]) / p[2]
     out[0] += (p[0] * w * w + p[1] * w * w * w) * p[2]
 
 
@@ -33,7 +28,7 @@ class SensorNonlinearity:
             r = max(port.rms, 1e-300)
             for law, reach, notes, centre in (
                 (_curve, max(port.peak, r), {}, []),
-                (_about, port.reach, {"variant": "about the operating point", "of": ""}, [operating_point(port)]),
+                (curve_about, port.reach, {"variant": "about the operating point", "of": ""}, [operating_point(port), constant("shift", port.unit, 0.0)]),
             )[: 1 if port.reverses else 2]:
                 top = reach / r
                 yield at_output(

@@ -308,5 +308,5 @@ def test_a_sensor_curve_about_an_operating_point_adds_nothing_there_and_curves_b
     h = offered(one_sided(machines()[MOTOR], "outputs"))["sensor_nonlinearity@output:w#about the operating point"]
     for reading, added in ((10.0, 0.0), (12.0, (0.3 * 1 + 0.1 * 1) * 2), (6.0, (0.3 * 4 - 0.1 * 8) * 2)):
         out = np.zeros(1)
-        h.law(np.array([0.3, 0.1, 2.0, 10.0]), np.array([reading]), np.zeros(0), 0.1, out)
+        h.law(np.array([0.3, 0.1, 2.0, 10.0, 0.0]), np.array([reading]), np.zeros(0), 0.1, out)
         assert out[0] == pytest.approx(added)
